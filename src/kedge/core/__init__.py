@@ -1,0 +1,1 @@
+"""Layer 0: the vocabulary that every other layer speaks."""

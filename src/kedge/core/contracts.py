@@ -1,0 +1,201 @@
+"""The three contracts: vehicle, sensor, filter.
+
+A vehicle never knows which filter runs it, a filter never knows which vehicle it runs, and
+a sensor knows only the names of the state fields that it reads.
+"""
+
+import abc
+from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.manifolds import space, space_of
+from kedge.core.quantities import Scalar
+
+S = TypeVar("S")  # state
+U = TypeVar("U")  # control
+W = TypeVar("W")  # process noise
+Z = TypeVar("Z")  # measurement
+B = TypeVar("B")  # belief
+
+
+class AbstractVehicle(eqx.Module, Generic[S, U, W]):
+    r"""Stochastic motion $x' = f(x, u, w, \Delta t)$ with $w \sim N(0, Q / \Delta t)$.
+
+    The one ``step`` is simulated, linearised, sampled and propagated through sigma points,
+    so nothing else has to be written for a filter to use the vehicle. Noise that depends on
+    the state or the control is written there too: multiply the noise by what it depends on.
+    """
+
+    @abc.abstractmethod
+    def step(self, state: S, control: U, noise: W, dt: Scalar) -> S:
+        """Advance the state by ``dt`` seconds."""
+
+    @abc.abstractmethod
+    def noise_density(self) -> W:
+        """Root power spectral density of each noise channel, in its unit per root hertz."""
+
+    @abc.abstractmethod
+    def start(self) -> S:
+        """A representative initial state."""
+
+    @abc.abstractmethod
+    def drive(self, time: Scalar) -> U:
+        """A representative control at ``time`` seconds: the default scenario."""
+
+
+class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
+    r"""A vehicle given by $\dot x = f(x, u, w)$, advanced by one Runge-Kutta step.
+
+    The classical rule is applied in the chart at the start of the step, so its order is four
+    on flat fields and two on rotations (the correction for a moving chart is left out).
+    """
+
+    @abc.abstractmethod
+    def rates(self, state: S, control: U, noise: W) -> S:
+        """Time derivative of every state field, in its unit per second."""
+
+    def step(self, state: S, control: U, noise: W, dt: Scalar) -> S:
+        """Advance on the manifold by the classical fourth-order rule."""
+        states = space(state)
+
+        def slope(error):
+            return states.flatten(self.rates(states.boxplus(state, error), control, noise))
+
+        k1 = slope(states.zeros())
+        k2 = slope(dt / 2 * k1)
+        k3 = slope(dt / 2 * k2)
+        k4 = slope(dt * k3)
+        return states.boxplus(state, dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+
+class AbstractMeasurementModel(eqx.Module, Generic[Z]):
+    r"""Observation $z = h(x) \boxplus v$ with $v \sim N(0, R(x))$: all a filter ever sees."""
+
+    @abc.abstractmethod
+    def expect(self, state: Any) -> Z:
+        """The noise-free measurement of a vehicle state."""
+
+    @abc.abstractmethod
+    def noise_cov(self, state: Any) -> Float[Array, "m m"]:
+        """Covariance of the measurement noise at a vehicle state."""
+
+    @abc.abstractmethod
+    def dof(self) -> Int[Array, ""] | int:
+        """How many components of the measurement are there."""
+
+
+class AbstractSensor(AbstractMeasurementModel[Z]):
+    """A measurement model that works on every vehicle with the state fields it reads.
+
+    A sensor over a map (landmarks, beacons, anchors) has a field ``target``: a ``NamedTuple``
+    of one target's parameters. The installed sensor carries the whole map there, with a
+    leading axis, and :meth:`facing` picks the target that a reading names.
+    """
+
+    reads: ClassVar[Any]
+    """A ``NamedTuple`` of the state fields that the sensor reads; it is shown nothing else.
+    A field with a default is optional: without it in the state the default is used."""
+    measures: ClassVar[Any]
+    """The ``NamedTuple`` that the sensor returns."""
+    nominal_rate: ClassVar[float] = 1.0
+    """Rate in Hz at which scenarios fire the sensor unless told otherwise."""
+
+    @abc.abstractmethod
+    def observe(self, state: Any) -> Z:
+        """The noise-free measurement, from the fields in ``reads``."""
+
+    @abc.abstractmethod
+    def noise_std(self, state: Any) -> Z:
+        """Standard deviation of each measurement component, in its unit."""
+
+    def expect(self, state: Any) -> Z:
+        """Show the sensor its fields of the whole state."""
+        return self.observe(self.project(state))
+
+    def noise_cov(self, state: Any) -> Float[Array, "m m"]:
+        """Independent components: the squares of ``noise_std`` on the diagonal."""
+        outputs = space_of(self.measures)
+        return jnp.diag(outputs.flatten(self.noise_std(self.project(state))) ** 2)
+
+    def dof(self) -> int:
+        """Size of the measurement."""
+        return space_of(self.measures).size
+
+    def project(self, state: Any) -> Any:
+        """The fields in ``reads`` of a state, defaults filled in."""
+        fields = (f for f in self.reads._fields if hasattr(state, f))
+        return self.reads(**{f: getattr(state, f) for f in fields})
+
+    def facing(self, index: Int[Array, ""] | int) -> Self:
+        """The sensor looking at target ``index`` of its map; itself if it has no map."""
+        targets = getattr(self, "target", None)
+        if targets is None:
+            return self
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], targets)
+        return eqx.tree_at(lambda sensor: sensor.target, self, one)
+
+
+class Innovation(NamedTuple):
+    """What an update learned, kept for gating, consistency tests and plots."""
+
+    residual: Float[Array, " m"]
+    cov: Float[Array, "m m"]
+    nis: Float[Array, ""]
+    """Normalised innovation squared: chi-square with ``dof`` degrees of freedom."""
+    dof: Int[Array, ""] | int
+    log_likelihood: Float[Array, ""]
+    accepted: Bool[Array, ""] | bool = True
+    threshold: Float[Array, ""] | float = float("inf")
+    """Bound on ``nis`` beyond which a gate refuses the reading."""
+
+
+class AbstractFilter(eqx.Module, Generic[B]):
+    """A recursive estimator as three pure functions of a belief."""
+
+    @abc.abstractmethod
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> B:
+        """Represent a Gaussian prior as this filter's belief."""
+
+    @abc.abstractmethod
+    def predict(
+        self, vehicle: AbstractVehicle, belief: B, control: Any, dt: Scalar, key: PRNGKeyArray
+    ) -> B:
+        """Advance the belief by ``dt`` seconds."""
+
+    @abc.abstractmethod
+    def update(
+        self, model: AbstractMeasurementModel, belief: B, measurement: Any, key: PRNGKeyArray
+    ) -> tuple[B, Innovation]:
+        """Condition the belief on one measurement."""
+
+
+class AbstractGaussianFilter(AbstractFilter[Gaussian]):
+    """A filter whose belief is one Gaussian and whose prediction can be smoothed."""
+
+    @abc.abstractmethod
+    def transition(
+        self, vehicle: AbstractVehicle, belief: Gaussian, control: Any, dt: Scalar
+    ) -> tuple[Gaussian, Float[Array, "n n"]]:
+        """The predicted belief, and the covariance of the state before with that after."""
+
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Gaussian:
+        """The prior itself."""
+        del key
+        return prior
+
+    def predict(
+        self,
+        vehicle: AbstractVehicle,
+        belief: Gaussian,
+        control: Any,
+        dt: Scalar,
+        key: PRNGKeyArray,
+    ) -> Gaussian:
+        """The transition without its cross-covariance."""
+        del key
+        return self.transition(vehicle, belief, control, dt)[0]

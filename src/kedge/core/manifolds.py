@@ -1,0 +1,237 @@
+"""Charts: how each kind of quantity is perturbed and compared.
+
+Every state, control and measurement is a ``NamedTuple`` whose fields are annotated with a
+chart (see :mod:`kedge.core.quantities`). A :class:`Space` is the product of those charts.
+Filters only ever call :meth:`Space.boxplus` and :meth:`Space.boxminus`, so angle wrapping
+and quaternion algebra happen here and nowhere else.
+
+Source: C. Hertzberg et al., "Integrating generic sensor fusion algorithms with sound state
+representations through encapsulation of manifolds", Information Fusion 14(1), 2013.
+"""
+
+import functools as ft
+from dataclasses import dataclass
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Protocol,
+    TypeVar,
+    get_type_hints,
+    runtime_checkable,
+)
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
+
+from kedge.core import rotations
+from kedge.core.errors import ContractError
+from kedge.core.rotations import wrap
+
+S = TypeVar("S", bound=tuple)
+if TYPE_CHECKING:
+    Point = Array
+else:
+    Point = Shaped[ArrayLike, "..."]
+
+
+@runtime_checkable
+class Chart(Protocol):
+    """One quantity: its unit, its sizes and its two manifold operations."""
+
+    @property
+    def unit(self) -> str: ...
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def tangent_shape(self) -> tuple[int, ...]: ...
+    @property
+    def size(self) -> int: ...
+
+    def boxplus(self, point: Point, delta: Float[Array, " n"]) -> Array: ...
+    def boxminus(self, point: Point, base: Point) -> Float[Array, " n"]: ...
+    def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
+        """Fill what is missing (NaN) with the origin; say which components are there."""
+        ...
+
+
+@dataclass(frozen=True)
+class Euclidean:
+    """A scalar (``shape=()``) or vector that adds and subtracts componentwise."""
+
+    unit: str
+    shape: tuple[int, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent space."""
+        return self.shape[0] if self.shape else 1
+
+    @property
+    def tangent_shape(self) -> tuple[int, ...]:
+        """Shape of a tangent value as authors write it."""
+        return self.shape
+
+    def boxplus(self, point: Point, delta: Float[Array, " n"]) -> Array:
+        """Add."""
+        return point + delta.reshape(self.shape)
+
+    def boxminus(self, point: Point, base: Point) -> Float[Array, " n"]:
+        """Subtract."""
+        return jnp.reshape(jnp.asarray(point - base), (self.size,))
+
+    def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
+        """Missing components become 0."""
+        there = ~jnp.isnan(point)
+        return jnp.where(there, point, 0.0), there.reshape(self.size)
+
+
+@dataclass(frozen=True)
+class Circle:
+    """An angle. Differences lie in [-pi, pi)."""
+
+    unit: str = "rad"
+    shape: tuple[int, ...] = ()
+    tangent_shape: tuple[int, ...] = ()
+    size: int = 1
+
+    def boxplus(self, point: Point, delta: Float[Array, " n"]) -> Array:
+        """Add and wrap."""
+        return wrap(point + delta[0])
+
+    def boxminus(self, point: Point, base: Point) -> Float[Array, " n"]:
+        """Subtract and wrap."""
+        return wrap(point - base)[None]
+
+    def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
+        """A missing angle becomes 0."""
+        there = ~jnp.isnan(point)
+        return jnp.where(there, point, 0.0), there[None]
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A unit quaternion (w, x, y, z) from body to map; perturbed on the body side."""
+
+    unit: str = "rad"
+    shape: tuple[int, ...] = (4,)
+    tangent_shape: tuple[int, ...] = (3,)
+    size: int = 3
+
+    def boxplus(self, point: Point, delta: Float[Array, " n"]) -> Array:
+        r"""$q \otimes \exp(\delta)$, normalised."""
+        moved = rotations.multiply(jnp.asarray(point), rotations.exp(delta))
+        return moved / jnp.linalg.norm(moved)
+
+    def boxminus(self, point: Point, base: Point) -> Float[Array, " n"]:
+        r"""$\log(q_0^{-1} \otimes q)$."""
+        inverse = rotations.conjugate(jnp.asarray(base))
+        return rotations.log(rotations.multiply(inverse, jnp.asarray(point)))
+
+    def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
+        """An attitude is there as a whole or not at all: then it becomes the identity."""
+        there = ~jnp.isnan(jnp.asarray(point)).any()
+        identity = jnp.array([1.0, 0.0, 0.0, 0.0])
+        return jnp.where(there, point, identity), jnp.broadcast_to(there, (3,))
+
+
+@dataclass(frozen=True)
+class Space(Generic[S]):
+    """The product manifold of a ``NamedTuple`` of charted quantities."""
+
+    cls: Any
+    charts: tuple[Chart, ...]
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent space, which is the size of every covariance."""
+        return sum(chart.size for chart in self.charts)
+
+    def zeros(self) -> Float[Array, " n"]:
+        """Origin of the tangent space."""
+        return jnp.zeros(self.size)
+
+    def boxplus(self, point: S, delta: Float[Array, " n"]) -> S:
+        """Move ``point`` by the tangent vector ``delta``."""
+        parts = self._split(delta)
+        return self.cls(
+            *(c.boxplus(p, d) for c, p, d in zip(self.charts, point, parts, strict=True))
+        )
+
+    def boxminus(self, point: S, base: S) -> Float[Array, " n"]:
+        """Tangent vector that moves ``base`` to ``point``."""
+        parts = [c.boxminus(p, b) for c, p, b in zip(self.charts, point, base, strict=True)]
+        return jnp.concatenate([jnp.zeros(0), *parts])
+
+    def flatten(self, tangent: S) -> Float[Array, " n"]:
+        """Concatenate a tangent-valued ``NamedTuple`` (a noise, a rate) to a vector."""
+        parts = [jnp.ravel(jnp.asarray(v)) for v in tangent]
+        return jnp.concatenate([jnp.zeros(0), *parts])
+
+    def unflatten(self, vector: Float[Array, " n"]) -> S:
+        """Undo :meth:`flatten`."""
+        parts = self._split(vector)
+        shapes = (c.tangent_shape for c in self.charts)
+        return self.cls(*(p.reshape(s) for p, s in zip(parts, shapes, strict=True)))
+
+    def complete(self, point: S) -> tuple[S, Bool[Array, " n"]]:
+        """Fill missing (NaN) components with the charts' origins; say which are there."""
+        filled = [c.complete(p) for c, p in zip(self.charts, point, strict=True)]
+        there = [mask for _, mask in filled]
+        return self.cls(*(p for p, _ in filled)), jnp.concatenate([jnp.zeros(0, bool), *there])
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name of each tangent component: ``position_x``, ``heading``."""
+        axes = "xyz"
+        return tuple(
+            f"{name}_{axes[i] if chart.size <= 3 else i}" if chart.size > 1 else name
+            for name, chart in zip(self.cls._fields, self.charts, strict=True)
+            for i in range(chart.size)
+        )
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each tangent component."""
+        return tuple(chart.unit for chart in self.charts for _ in range(chart.size))
+
+    def slices(self) -> dict[str, slice]:
+        """Where each field's components stand in a tangent vector."""
+        found, start = {}, 0
+        for name, chart in zip(self.cls._fields, self.charts, strict=True):
+            found[name] = slice(start, start + chart.size)
+            start += chart.size
+        return found
+
+    def _split(self, vector: Float[Array, " n"]) -> list[Array]:
+        return [vector[cut] for cut in self.slices().values()]
+
+
+@ft.cache
+def charts_of(cls: Any) -> dict[str, Chart]:
+    """Field name to chart, read from the annotations of a ``NamedTuple``.
+
+    Raises:
+        ContractError: a field carries no chart.
+    """
+    charts = {}
+    for name, hint in get_type_hints(cls, include_extras=True).items():
+        found = [m for m in getattr(hint, "__metadata__", ()) if hasattr(m, "boxplus")]
+        if not found:
+            raise ContractError(
+                f"{cls.__module__}.{cls.__qualname__}.{name} has no chart; "
+                "annotate it with a quantity from kedge.core.quantities, e.g. Speed"
+            )
+        charts[name] = found[0]
+    return charts
+
+
+@ft.cache
+def space_of(cls: Any) -> Space:
+    """The space of a ``NamedTuple`` class."""
+    return Space(cls, tuple(charts_of(cls).values()))
+
+
+def space(value: Any) -> Space:
+    """The space that a state, control, noise or measurement lives in."""
+    return space_of(type(value))

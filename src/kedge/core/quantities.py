@@ -1,0 +1,39 @@
+"""Quantities: array types that know their unit and their chart.
+
+Use these as field annotations. Type checkers and runtime shape checks see a plain array;
+:func:`kedge.core.manifolds.space` sees the chart. All units are SI, angles are rad.
+"""
+
+from typing import Annotated
+
+from jaxtyping import Array, Float
+
+from kedge.core.manifolds import Circle, Euclidean, Rotation
+from kedge.core.rotations import Scalar as Scalar
+
+Position = Annotated[Float[Array, "2"], Euclidean("m", (2,))]
+Velocity = Annotated[Float[Array, "2"], Euclidean("m/s", (2,))]
+Position3 = Annotated[Float[Array, "3"], Euclidean("m", (3,))]
+Velocity3 = Annotated[Float[Array, "3"], Euclidean("m/s", (3,))]
+Acceleration2 = Annotated[Float[Array, "2"], Euclidean("m/s^2", (2,))]
+Acceleration3 = Annotated[Float[Array, "3"], Euclidean("m/s^2", (3,))]
+AngularRate3 = Annotated[Float[Array, "3"], Euclidean("rad/s", (3,))]
+Attitude = Annotated[Float[Array, "4"], Rotation()]
+Heading = Annotated[Scalar, Circle()]
+Bearing = Annotated[Scalar, Circle()]
+Range = Annotated[Scalar, Euclidean("m")]
+Speed = Annotated[Scalar, Euclidean("m/s")]
+Acceleration = Annotated[Scalar, Euclidean("m/s^2")]
+YawRate = Annotated[Scalar, Euclidean("rad/s")]
+YawAcceleration = Annotated[Scalar, Euclidean("rad/s^2")]
+SteeringAngle = Annotated[Scalar, Euclidean("rad")]
+
+# Parameters of models: a plain number in the class body, an array once a driver runs it.
+Metres = Annotated[Scalar, Euclidean("m")]
+Radians = Annotated[Scalar, Euclidean("rad")]
+Seconds = Annotated[Scalar, Euclidean("s")]
+Ratio = Annotated[Scalar, Euclidean("1")]
+SpeedNoise = Annotated[Scalar, Euclidean("m/s/sqrt(Hz)")]
+YawRateNoise = Annotated[Scalar, Euclidean("rad/s/sqrt(Hz)")]
+AccelerationNoise = Annotated[Scalar, Euclidean("m/s^2/sqrt(Hz)")]
+YawAccelerationNoise = Annotated[Scalar, Euclidean("rad/s^2/sqrt(Hz)")]

@@ -1,0 +1,108 @@
+"""Name -> class tables, filled by decorators and found by import.
+
+A module dropped into ``kedge/vehicles``, ``kedge/sensors`` or ``kedge/filters`` is imported
+on first use, and so is every installed entry point of group ``kedge.<family>``. There is no
+list to edit.
+"""
+
+import dataclasses
+import difflib
+import importlib
+import pkgutil
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Any, Generic, TypeVar
+
+from kedge.core.errors import ContractError, UnknownName
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """The members of one family."""
+
+    def __init__(self, family: str):
+        self.family = family
+        self._members: dict[str, type[T]] = {}
+        self._complete = False
+
+    def add(self, name: str) -> Callable[[type], type]:
+        """Class decorator that registers under ``name``.
+
+        Raises:
+            ContractError: the name is taken by another class.
+        """
+
+        def register(cls: type) -> type:
+            taken = self._members.get(name)
+            # The same file imported twice (a notebook cell, a reload) replaces itself.
+            if taken is not None and taken.__qualname__ != cls.__qualname__:
+                raise ContractError(
+                    f"two {self.family} are called {name!r}: {taken.__module__}."
+                    f"{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
+                )
+            self._members[name] = cls
+            return cls
+
+        return register
+
+    def get(self, name: str) -> type[T]:
+        """Look a member up.
+
+        Raises:
+            UnknownName: with the names that do exist.
+        """
+        self._discover()
+        try:
+            return self._members[name]
+        except KeyError:
+            raise UnknownName(unknown(self.family, name, self.names())) from None
+
+    def make(self, name: str, **parameters: Any) -> T:
+        """An instance of a member, with the parameters given.
+
+        Raises:
+            UnknownName: there is no such member, or it has no such parameter.
+        """
+        cls: Any = self.get(name)
+        known = [field.name for field in dataclasses.fields(cls)]
+        for key in parameters:
+            if key not in known:
+                raise UnknownName(unknown(f"parameter of {name!r}", key, known))
+        return cls(**parameters)
+
+    def names(self) -> list[str]:
+        """The registered names, sorted."""
+        self._discover()
+        return sorted(self._members)
+
+    def name_of(self, cls: type) -> str:
+        """The name under which ``cls`` is registered."""
+        self._discover()
+        return next((n for n, member in self._members.items() if member is cls), cls.__name__)
+
+    def _discover(self) -> None:
+        if self._complete:
+            return
+        self._complete = True
+        package = importlib.import_module(f"kedge.{self.family}")
+        for module in pkgutil.iter_modules(package.__path__):
+            importlib.import_module(f"kedge.{self.family}.{module.name}")
+        for point in entry_points(group=f"kedge.{self.family}"):
+            point.load()
+
+
+def unknown(kind: str, name: str, known: list[str]) -> str:
+    """The sentence for a name that does not exist: the nearest first, then all."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    return f"no {kind} called {name!r}{hint}; there are {', '.join(known) or 'none'}"
+
+
+vehicles: Registry = Registry("vehicles")
+sensors: Registry = Registry("sensors")
+filters: Registry = Registry("filters")
+
+make_vehicle = vehicles.make
+make_sensor = sensors.make
+make_filter = filters.make

@@ -1,0 +1,65 @@
+"""Unit quaternions (w, x, y, z): the algebra behind the chart of an attitude."""
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+if TYPE_CHECKING:
+    Scalar = float | Array
+else:
+    Scalar = Float[ArrayLike, ""]
+
+
+def multiply(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Hamilton product."""
+    pw, pv, qw, qv = p[0], p[1:], q[0], q[1:]
+    return jnp.concatenate([(pw * qw - pv @ qv)[None], pw * qv + qw * pv + jnp.cross(pv, qv)])
+
+
+def conjugate(q: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Inverse of a unit quaternion."""
+    return jnp.concatenate([q[:1], -q[1:]])
+
+
+def exp(rotation_vector: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Unit quaternion of a rotation vector in rad."""
+    squared = rotation_vector @ rotation_vector
+    small = squared < 1e-12
+    half = jnp.sqrt(jnp.where(small, 1.0, squared)) / 2
+    ratio = jnp.where(small, 0.5 - squared / 48, jnp.sin(half) / (2 * half))
+    real = jnp.where(small, 1 - squared / 8, jnp.cos(half))
+    return jnp.concatenate([real[None], ratio * rotation_vector])
+
+
+def log(q: Float[Array, "4"]) -> Float[Array, "3"]:
+    """Rotation vector in rad, of length at most pi, of a unit quaternion."""
+    q = jnp.where(q[0] < 0, -q, q)
+    squared = q[1:] @ q[1:]
+    small = squared < 1e-12
+    norm = jnp.sqrt(jnp.where(small, 1.0, squared))
+    ratio = jnp.where(small, 2 / q[0], 2 * jnp.arctan2(norm, q[0]) / norm)
+    return ratio * q[1:]
+
+
+def rotate(q: Float[Array, "4"], vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Express a body-frame vector in the map frame."""
+    twice = 2 * jnp.cross(q[1:], vector)
+    return vector + q[0] * twice + jnp.cross(q[1:], twice)
+
+
+def wrap(angle: Scalar) -> Float[Array, ""]:
+    """Wrap an angle in rad to [-pi, pi)."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+
+def direction(heading: Scalar) -> Float[Array, "2"]:
+    """Unit vector at ``heading`` rad, counter-clockwise from the first axis."""
+    return jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+
+
+def polar(offset: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Length in m and direction in rad of a plane vector; its derivatives are finite at 0."""
+    at_origin = (jnp.abs(offset) < 1e-9).all()
+    x, y = jnp.where(at_origin, jnp.array([1e-9, 0.0]), offset)
+    return jnp.hypot(x, y), jnp.arctan2(y, x)

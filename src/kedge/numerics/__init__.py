@@ -1,0 +1,1 @@
+"""Layer 1: mathematics without opinions."""
