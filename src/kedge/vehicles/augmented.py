@@ -1,0 +1,154 @@
+"""Any vehicle with slowly varying quantities added to its state: biases, scales, currents.
+
+A slow quantity that has the name of a parameter of the vehicle takes that parameter's place
+in ``step``; one that has the name of an optional field of a sensor is read by the sensor. So
+no vehicle and no sensor needs a second version with its biases estimated.
+"""
+
+import dataclasses
+import functools as ft
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, NamedTuple, get_type_hints
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import Chart, charts_of, space
+from kedge.core.quantities import Scalar
+
+
+class Slow(eqx.Module):
+    r"""How a slow quantity wanders: $\dot s = (s_0 - s) / \tau + w$.
+
+    ``walk`` is the density of w in the quantity's unit per second per root hertz; with the
+    default time constant the quantity is a random walk.
+    """
+
+    nominal: Scalar | Float[Array, " k"]
+    walk: Scalar = 0.0
+    time_constant: Scalar = float("inf")  # s
+
+
+class Augmented(AbstractVehicle[Any, Any, Any]):
+    """A vehicle and its slow quantities.
+
+    Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
+    and Navigation", 2001, section 11.2 (state augmentation).
+    """
+
+    vehicle: AbstractVehicle
+    slow: dict[str, Slow]
+    charts: tuple[tuple[str, Chart], ...] = eqx.field(static=True)
+
+    def step(self, state: Any, control: Any, noise: Any, dt: Scalar) -> Any:
+        """Step the vehicle with the present values, then let them wander."""
+        vehicle = self.vehicle
+        for name, _ in self.charts:
+            if hasattr(vehicle, name):
+                value = getattr(state, name)
+                vehicle = eqx.tree_at(lambda v, n=name: getattr(v, n), vehicle, value)
+        inner, walks = type(vehicle.start()), type(vehicle.noise_density())
+        moved = vehicle.step(
+            inner(*state[: len(inner._fields)]),
+            control,
+            walks(*noise[: len(walks._fields)]),
+            dt,
+        )
+        after = []
+        for name, _ in self.charts:
+            slow, value = self.slow[name], getattr(state, name)
+            decay = jnp.exp(-dt / slow.time_constant)
+            wander = getattr(noise, name) * dt
+            after.append(slow.nominal + (value - slow.nominal) * decay + wander)
+        return type(state)(*moved, *after)
+
+    def noise_density(self) -> Any:
+        """The vehicle's, then the walks."""
+        inner = self.vehicle.noise_density()
+        walks = (jnp.full(c.shape, self.slow[name].walk) for name, c in self.charts)
+        return _widened(type(inner), self.charts)(*inner, *walks)
+
+    def start(self) -> Any:
+        """The vehicle's, then the nominal values."""
+        inner = self.vehicle.start()
+        nominal = (
+            jnp.broadcast_to(jnp.asarray(self.slow[name].nominal, float), c.shape)
+            for name, c in self.charts
+        )
+        return _widened(type(inner), self.charts)(*inner, *nominal)
+
+    def drive(self, time: Scalar) -> Any:
+        """The vehicle's."""
+        return self.vehicle.drive(time)
+
+
+class Wander(NamedTuple):
+    """What a rig says of a slow quantity."""
+
+    walk: float = 0.0
+    time_constant: float = float("inf")
+
+
+def augment(
+    vehicle: AbstractVehicle, slow: Mapping[str, Wander], sensors: Sequence[AbstractSensor]
+) -> AbstractVehicle:
+    """Add slow quantities to a vehicle's state; their nominal values and charts are found.
+
+    Raises:
+        ContractError: a name is neither a parameter of the vehicle nor an optional field of a
+            sensor, or is in the state already.
+    """
+    if not slow:
+        return vehicle
+    known = _candidates(vehicle, sensors)
+    taken = space(vehicle.start()).cls._fields
+    found, charts = {}, []
+    for name, wander in slow.items():
+        if name in taken:
+            raise ContractError(f"slow quantity {name!r} is in the vehicle's state already")
+        if name not in known:
+            raise ContractError(
+                f"slow quantity {name!r} is neither a parameter of the vehicle nor an optional "
+                f"field of a sensor; there are {', '.join(sorted(known)) or 'none'}"
+            )
+        chart, nominal = known[name]
+        found[name] = Slow(nominal, wander.walk, wander.time_constant)
+        charts.append((name, chart))
+    return Augmented(vehicle, found, tuple(charts))
+
+
+def _candidates(
+    vehicle: AbstractVehicle, sensors: Sequence[AbstractSensor]
+) -> dict[str, tuple[Chart, Any]]:
+    parameters = {f.name for f in dataclasses.fields(vehicle) if not f.metadata.get("static")}
+    found = {
+        name: (chart, getattr(vehicle, name))
+        for name, chart in _charts_of_parameters(type(vehicle)).items()
+        if name in parameters
+    }
+    for sensor in sensors:
+        charts = charts_of(sensor.reads)
+        for name, default in sensor.reads._field_defaults.items():
+            found.setdefault(name, (charts[name], default))
+    return found
+
+
+def _charts_of_parameters(cls: type) -> dict[str, Chart]:
+    hints = get_type_hints(cls, include_extras=True)
+    return {
+        name: meta
+        for name, hint in hints.items()
+        for meta in getattr(hint, "__metadata__", ())
+        if hasattr(meta, "boxplus")
+    }
+
+
+@ft.cache
+def _widened(cls: Any, extra: tuple[tuple[str, Chart], ...]) -> Any:
+    """The ``NamedTuple`` class of ``cls`` with fields added; one class for equal arguments."""
+    fields = [(n, Annotated[Any, c]) for n, c in (*charts_of(cls).items(), *extra)]
+    create: Any = NamedTuple  # a type checker wants the fields written out
+    return create(f"Augmented{cls.__name__}", fields)
