@@ -1,0 +1,1 @@
+"""Layer 3: where vehicle, sensors and filter meet."""

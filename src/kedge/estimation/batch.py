@@ -1,0 +1,123 @@
+"""Offline estimation: scan a filter over a log."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter
+from kedge.core.errors import ContractError
+from kedge.estimation.log import Log
+from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.step import Outcome, advance, condition, event_keys
+
+
+class Estimates(NamedTuple):
+    """What a filter believed after each event, and what became of each reading."""
+
+    time: Float[Array, "*T"]
+    moments: Gaussian
+    outcome: Outcome
+
+
+class History(NamedTuple):
+    """What smoothing needs of each event's prediction."""
+
+    predicted: Gaussian
+    cross: Float[Array, "T n n"]
+    """Covariance of the state after the event before with the state predicted here."""
+
+
+def estimate(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
+) -> Estimates:
+    """Run ``filter`` over every event of ``log``; return its moments after each.
+
+    ``key`` feeds the filters that draw random numbers; without one it is ``jax.random.key(0)``.
+    """
+    filter, rig, log = as_arrays((filter, rig, log))
+    return scan(filter, rig, log, _key(key), False)[0]
+
+
+def estimate_with_history(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
+) -> tuple[Estimates, History]:
+    """Like :func:`estimate`, and keep what a smoother needs.
+
+    Raises:
+        ContractError: the filter does not carry a Gaussian.
+    """
+    filter, rig, log = as_arrays((filter, rig, log))
+    require_gaussian(filter)
+    return scan(filter, rig, log, _key(key), True)
+
+
+def compile_estimate(
+    filter: AbstractFilter, rig: Rig, log: Log, keep: bool, key: PRNGKeyArray | None = None
+) -> Callable[[], tuple[Estimates, Any]]:
+    """Compile without running, so that the time of a run can be told from that of compiling.
+
+    The call returned gives the estimates and, with ``keep``, the history.
+
+    Raises:
+        ContractError: ``keep`` with a filter that does not carry a Gaussian.
+    """
+    arguments = (*as_arrays((filter, rig, log)), _key(key), keep)
+    if keep:
+        require_gaussian(filter)
+    compiled = scan.lower(*arguments).compile()
+    return lambda: compiled(*arguments)
+
+
+def require_gaussian(filter: AbstractFilter) -> None:
+    """Refuse to smooth what has no Gaussian.
+
+    Raises:
+        ContractError: the filter does not carry a Gaussian.
+    """
+    if not isinstance(filter, AbstractGaussianFilter):
+        raise ContractError(
+            f"{type(filter).__name__} cannot be smoothed: it carries no Gaussian; "
+            "use a Gaussian filter such as 'extended' or 'unscented'"
+        )
+
+
+def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
+    return jax.random.key(0) if key is None else key
+
+
+@eqx.filter_jit
+def scan(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
+) -> tuple[Estimates, Any]:
+    index = jnp.arange(log.schedule.time.shape[0])
+
+    def predict(belief, control, dt, key):
+        if not (keep and isinstance(filter, AbstractGaussianFilter)):
+            return advance(filter, rig.vehicle, belief, control, dt, key), None
+        belief, cross = lax.cond(
+            dt > 0,
+            lambda gaussian=filter: gaussian.transition(rig.vehicle, belief, control, dt),
+            lambda: (belief, belief.cov),
+        )
+        return belief, History(belief, cross)
+
+    def body(carry: tuple[Any, Any], event: Any) -> tuple[Any, Any]:
+        belief, last = carry
+        i, (time, sensor, row), control = event
+        predict_key, update_key = event_keys(key, i + 1)
+        belief, history = predict(belief, control, time - last, predict_key)
+        belief, outcome = condition(
+            filter, rig.sensors, belief, log.readings, sensor, row, update_key
+        )
+        return (belief, time), (belief.moments(), outcome, history)
+
+    belief = filter.init(rig.prior, event_keys(key, 0)[0])
+    events = index, log.schedule, log.controls
+    _, (moments, outcome, history) = lax.scan(body, (belief, jnp.zeros(())), events)
+    return Estimates(log.schedule.time, moments, outcome), history

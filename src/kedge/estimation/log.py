@@ -1,0 +1,130 @@
+"""Logs: what happened, in time order.
+
+The schedule (when, which sensor) is separate from the readings (what was measured). All runs
+of a Monte Carlo study share one schedule, so ``vmap`` over runs keeps each ``lax.switch`` a
+real branch instead of evaluating every sensor at every event.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from kedge.core.errors import DataError
+
+SECOND = 1_000_000_000  # ns
+
+
+class Schedule(NamedTuple):
+    """When something happens, and to whom."""
+
+    time: Float[Array, " T"]
+    """Time of the event in s since the log's start."""
+    sensor: Int[Array, " T"]
+    """Index of the sensor that fired, or -1 for a prediction without a measurement."""
+    row: Int[Array, " T"]
+    """Row of that sensor's readings."""
+
+
+class Readings(NamedTuple):
+    """All readings of one sensor in time order; or one, without the leading axis."""
+
+    measurement: Any
+    """NaN where a component is missing."""
+    target: Int[Array, "*n"]
+    """Index on the sensor's map; -1 for a target that is not on it, 0 without a map."""
+    cov: Float[Array, "*n m m"] | None = None
+    """Covariances that came with the readings, in place of the sensor's own."""
+
+
+class Log(NamedTuple):
+    """A run's events."""
+
+    schedule: Schedule
+    controls: Any
+    """Control held over the interval that ends at each event; leading axis T."""
+    readings: tuple[Readings, ...]
+    """Per sensor."""
+
+
+class Truth(NamedTuple):
+    """What is known of the true trajectory: fields of the state by name."""
+
+    time: Float[np.ndarray, " K"]
+    """s since the log's start."""
+    fields: dict[str, np.ndarray]
+
+
+class Stamped(NamedTuple):
+    """One sensor's readings with their event times, before they are merged."""
+
+    stamps: Int[np.ndarray, " n"]
+    """Event times in ns."""
+    readings: Readings
+
+
+class Recording(NamedTuple):
+    """A log, and what is needed to speak about it outside traced code."""
+
+    log: Log
+    start: int
+    """ns since the epoch of the sources; ``log.schedule.time`` counts from here."""
+    stamps: Int[np.ndarray, " T"]
+    """Exact event times in ns."""
+    outputs: Int[np.ndarray, " K"]
+    """Indices of the events at which the estimate is asked for."""
+
+
+def assemble(
+    start: int,
+    end: int,
+    control_stamps: Int[np.ndarray, " c"],
+    controls: Any,
+    sources: Sequence[Stamped],
+    output_rate: float,
+) -> Recording:
+    """Merge controls, readings and output times into one log.
+
+    Controls are held from their stamp on; the first also before it. Events at one time stand
+    in the order control, sensors as installed, output.
+
+    Raises:
+        DataError: nothing happens between ``start`` and ``end``.
+    """
+    if end <= start:
+        raise DataError(f"empty log: it ends at {end} ns and starts at {start} ns")
+    count = int((end - start) / SECOND * output_rate)
+    grid = start + np.round(np.arange(1, count + 1) * (SECOND / output_rate)).astype(np.int64)
+    inside = (control_stamps > start) & (control_stamps <= end)
+    tables = [(control_stamps[inside], -1)]
+    tables += [(source.stamps, index) for index, source in enumerate(sources)]
+    tables.append((grid, -2))
+
+    stamps = np.concatenate([stamps for stamps, _ in tables])
+    sensor = np.concatenate([np.full(len(s), index) for s, index in tables])
+    rank = np.concatenate([np.full(len(s), place) for place, (s, _) in enumerate(tables)])
+    row = np.concatenate([np.arange(len(s)) for s, _ in tables])
+    order = np.lexsort((row, rank, stamps))
+    order = order[(stamps[order] > start) & (stamps[order] <= end)]
+    if len(order) == 0:
+        raise DataError("empty log: no control, reading or output time lies inside it")
+    stamps, sensor, row = stamps[order], sensor[order], row[order]
+
+    before = np.concatenate([[start], stamps[:-1]])
+    held = np.searchsorted(control_stamps, before, side="right") - 1
+    at_events = jax.tree.map(lambda leaf: jnp.asarray(leaf[np.maximum(held, 0)]), controls)
+    schedule = Schedule(
+        jnp.asarray((stamps - start) / SECOND),
+        jnp.asarray(np.maximum(sensor, -1)),
+        jnp.asarray(np.where(sensor >= 0, row, 0)),
+    )
+    readings = tuple(
+        Readings(*(jax.tree.map(jnp.asarray, part) for part in source.readings))
+        for source in sources
+    )
+    return Recording(
+        Log(schedule, at_events, readings), start, stamps, np.flatnonzero(sensor == -2)
+    )

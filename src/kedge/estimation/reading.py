@@ -1,0 +1,72 @@
+"""One reading as a filter sees it: target, mount, own noise and missing components bound in."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from kedge.core.contracts import AbstractMeasurementModel
+from kedge.core.manifolds import space, space_of
+from kedge.estimation.log import Readings
+from kedge.estimation.rig import Installation
+from kedge.numerics.linalg import cholesky
+
+
+class Sighting(AbstractMeasurementModel):
+    """The measurement model of one reading.
+
+    Missing (NaN) components are replaced by the chart's origin on both sides, with unit noise:
+    their residual and every derivative vanish exactly, so the update is that of the components
+    that are there, with static shapes, for every filter.
+    """
+
+    installation: Installation
+    target: Int[Array, ""]
+    present: Bool[Array, " m"]
+    missing: Any
+    """True where a component of the measurement is missing, in the measurement's shape."""
+    cov: Float[Array, "m m"] | None
+
+    def expect(self, state: Any) -> Any:
+        """The expected measurement, with the components that are missing left out."""
+        expected = self.installation.expect(state, self.target)
+        origin, _ = space(expected).complete(
+            type(expected)(*(jnp.full(jnp.shape(leaf), jnp.nan) for leaf in expected))
+        )
+        return type(expected)(
+            *(
+                jnp.where(gone, zero, leaf)
+                for gone, zero, leaf in zip(self.missing, origin, expected, strict=True)
+            )
+        )
+
+    def noise_cov(self, state: Any) -> Float[Array, "m m"]:
+        """The reading's own covariance or the sensor's, without what is missing."""
+        cov = self.installation.noise_cov(state, self.target) if self.cov is None else self.cov
+        both = self.present[:, None] & self.present[None, :]
+        return jnp.where(both, cov, jnp.eye(cov.shape[0]))
+
+    def dof(self) -> Int[Array, ""]:
+        """How many components are there."""
+        return jnp.sum(self.present)
+
+
+def sight(installation: Installation, reading: Readings) -> tuple[Sighting, Any]:
+    """Bind one reading to its sensor; return the model and the completed measurement."""
+    outputs = space_of(installation.sensor.measures)
+    measurement, present = outputs.complete(reading.measurement)
+    missing = type(measurement)(
+        *(
+            jnp.broadcast_to(jnp.isnan(leaf).any(), jnp.shape(leaf))
+            if chart.shape != chart.tangent_shape
+            else jnp.isnan(leaf)
+            for chart, leaf in zip(outputs.charts, reading.measurement, strict=True)
+        )
+    )
+    target = jnp.maximum(reading.target, 0)
+    return Sighting(installation, target, present, missing, reading.cov), measurement
+
+
+def is_positive_definite(cov: Float[Array, "m m"]) -> Bool[Array, ""]:
+    """Whether a covariance that came with a reading can be used."""
+    return jnp.isfinite(cholesky(cov)).all() & jnp.isfinite(cov).all()

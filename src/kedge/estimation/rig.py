@@ -1,0 +1,150 @@
+"""Rigs: a vehicle, the sensors installed on it, and what is believed at the start."""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import Chart, charts_of, space_of
+from kedge.core.quantities import Scalar
+from kedge.core.rotations import wrap
+
+
+class Mount(NamedTuple):
+    """Where a sensor sits: forward and left of the origin (m), turned to the left (rad)."""
+
+    x: Scalar = 0.0
+    y: Scalar = 0.0
+    heading: Scalar = 0.0
+
+
+class Installation(eqx.Module):
+    """A sensor on a vehicle. Its name, not its class, is its identity."""
+
+    name: str = eqx.field(static=True)
+    sensor: AbstractSensor
+    rate: float | None = eqx.field(static=True, default=None)
+    """Hz, for simulation; the sensor's nominal rate if not given."""
+    latency: float = eqx.field(static=True, default=0.0)
+    """s from the event to its stamp; logs are built with event time = stamp - latency."""
+    gate: float | None = eqx.field(static=True, default=None)
+    """False-alarm probability of the sensor's gate; no gate if not given."""
+    mount: Mount | None = None
+
+    def __check_init__(self):
+        if not math.isfinite(self.latency):
+            raise ContractError(f"sensor {self.name!r}: latency is {self.latency}, not finite")
+
+    def expect(self, state: Any, target: Int[Array, ""]) -> Any:
+        """The noise-free measurement of one target."""
+        return self.sensor.facing(target).expect(self._moved(state))
+
+    def noise_cov(self, state: Any, target: Int[Array, ""]) -> Float[Array, "m m"]:
+        """The sensor's own noise for one target."""
+        return self.sensor.facing(target).noise_cov(self._moved(state))
+
+    @property
+    def targets(self) -> int | None:
+        """How many targets are on the sensor's map; None if it has no map."""
+        leaves = jax.tree.leaves(getattr(self.sensor, "target", None))
+        return leaves[0].shape[0] if leaves else None
+
+    def _moved(self, state: Any) -> Any:
+        """The state as if the vehicle stood where the sensor sits."""
+        if self.mount is None:
+            return state
+        cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
+        arm = jnp.stack(
+            [cos * self.mount.x - sin * self.mount.y, sin * self.mount.x + cos * self.mount.y]
+        )
+        return state._replace(
+            position=state.position + arm, heading=wrap(state.heading + self.mount.heading)
+        )
+
+
+class Rig(eqx.Module):
+    """One description of a vehicle and its sensors, for studies, logs and live runs.
+
+    Raises:
+        ContractError: a sensor reads a field that the vehicle's state has not, two sensors
+            share a name, or the prior does not fit the state.
+    """
+
+    vehicle: AbstractVehicle
+    sensors: tuple[Installation, ...]
+    prior: Gaussian
+
+    def __check_init__(self):
+        names = [sensor.name for sensor in self.sensors]
+        for name in names:
+            if names.count(name) > 1:
+                raise ContractError(f"two sensors are called {name!r}; names must differ")
+        state = type(self.vehicle.start())
+        for installation in self.sensors:
+            check_reads(installation, state, type(self.vehicle).__name__)
+        if type(self.prior.mean) is not state:
+            raise ContractError(
+                f"the prior's mean is a {type(self.prior.mean).__qualname__}, but the state of "
+                f"{type(self.vehicle).__name__} is a {state.__qualname__}"
+            )
+        size = space_of(state).size
+        if jnp.shape(self.prior.cov) != (size, size):
+            raise ContractError(
+                f"the prior's covariance has shape {jnp.shape(self.prior.cov)}, but the state "
+                f"{space_of(state).labels} needs {(size, size)}"
+            )
+
+    def index(self, name: str) -> int:
+        """Position of a sensor by name.
+
+        Raises:
+            ContractError: there is none of that name.
+        """
+        names = [sensor.name for sensor in self.sensors]
+        if name not in names:
+            raise ContractError(f"no sensor {name!r} on this rig; there are {names}")
+        return names.index(name)
+
+
+def check_reads(installation: Installation, state: Any, vehicle: str) -> None:
+    """Refuse a sensor on a vehicle whose state lacks what it reads.
+
+    Raises:
+        ContractError: a required field is missing, or a field has another chart.
+    """
+    sensor = installation.sensor
+    has, optional = charts_of(state), sensor.reads._field_defaults
+    needs: dict[str, Chart] = charts_of(sensor.reads)
+    wrong = {
+        name: chart
+        for name, chart in needs.items()
+        if has.get(name, chart if name in optional else None) != chart
+    }
+    if installation.mount is not None and not {"position", "heading"} <= has.keys():
+        raise ContractError(
+            f"sensor {installation.name!r} has a mount, which needs position and heading "
+            f"in the state, but the state of {vehicle} is {sorted(has)}"
+        )
+    if wrong:
+        raise ContractError(
+            f"{type(sensor).__name__} ({installation.name!r}) reads {wrong}, but the state of "
+            f"{vehicle} is {has}"
+        )
+
+
+def as_arrays(tree: Any) -> Any:
+    """Turn the float parameters of a model into arrays, so that changing one recompiles nothing.
+
+    No array stays weakly typed: that would be a second type of the same value, and recompile.
+    """
+
+    def convert(leaf: Any) -> jax.Array:
+        return jnp.asarray(leaf, float if isinstance(leaf, float) else jnp.result_type(leaf))
+
+    return jax.tree.map(convert, tree)

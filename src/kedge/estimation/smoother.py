@@ -1,0 +1,56 @@
+"""Fixed-interval smoothing: every estimate in the light of all readings of the log."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import PRNGKeyArray
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter
+from kedge.core.manifolds import space_of
+from kedge.estimation.batch import Estimates, History, estimate_with_history
+from kedge.estimation.log import Log
+from kedge.estimation.rig import Rig
+from kedge.numerics.linalg import cholesky, gain, symmetric
+
+
+def smooth(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
+) -> tuple[Estimates, Estimates]:
+    """The filter's estimates and the smoothed ones.
+
+    Raises:
+        ContractError: the filter does not carry a Gaussian.
+    """
+    filtered, history = estimate_with_history(filter, rig, log, key)
+    return filtered, filtered._replace(moments=rauch_tung_striebel(filtered.moments, history))
+
+
+@eqx.filter_jit
+def rauch_tung_striebel(filtered: Gaussian, history: History) -> Gaussian:
+    r"""Correct each filtered Gaussian by the smoothed one after it.
+
+    $G = C_{k,k+1} (P^-_{k+1})^{-1}$, $x^s_k = x_k \boxplus G (x^s_{k+1} \boxminus x^-_{k+1})$,
+    $P^s_k = P_k + G (P^s_{k+1} - P^-_{k+1}) G^\top$, with the cross-covariance C that the
+    filter's own rule gave at the prediction: one smoother for every Gaussian filter.
+
+    Source: S. Särkkä, "Bayesian Filtering and Smoothing", 2013, sections 8.2 and 9.1.
+    """
+    states = space_of(type(filtered.mean))
+
+    def body(later: Gaussian, event: tuple[Gaussian, History]):
+        present, (predicted, cross) = event
+        # Jitter relative to each variance: a state known exactly has a singular one.
+        scale = jnp.diag(1e-14 * jnp.diag(predicted.cov) + 1e-300)
+        G = gain(cross, cholesky(predicted.cov + scale))
+        mean = states.boxplus(present.mean, G @ states.boxminus(later.mean, predicted.mean))
+        cov = symmetric(present.cov + G @ (later.cov - predicted.cov) @ G.T)
+        smoothed = Gaussian(mean, cov)
+        return smoothed, smoothed
+
+    last = jax.tree.map(lambda leaf: leaf[-1], filtered)
+    before = jax.tree.map(lambda leaf: leaf[:-1], filtered)
+    after = jax.tree.map(lambda leaf: leaf[1:], history)
+    _, smoothed = lax.scan(body, last, (before, after), reverse=True)
+    return jax.tree.map(lambda head, end: jnp.concatenate([head, end[None]]), smoothed, last)

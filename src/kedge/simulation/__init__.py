@@ -1,0 +1,1 @@
+"""Layer 4: worlds in which the truth is known."""
