@@ -5,7 +5,7 @@ a sensor knows only the names of the state fields that it reads.
 """
 
 import abc
-from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -131,7 +131,7 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
         fields = (f for f in self.reads._fields if hasattr(state, f))
         return self.reads(**{f: getattr(state, f) for f in fields})
 
-    def facing(self, index: Int[Array, ""] | int) -> Self:
+    def facing(self, index: Int[Array, ""] | int) -> "AbstractSensor[Z]":
         """The sensor looking at target ``index`` of its map; itself if it has no map."""
         targets = getattr(self, "target", None)
         if targets is None:

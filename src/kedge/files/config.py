@@ -1,0 +1,288 @@
+"""Rig files: TOML checked as a whole, so that every mistake is reported at once, with its key.
+
+Model, parameter, component and field names are checked against the registered classes here,
+before any data is read.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
+
+from kedge.core.errors import ContractError, KedgeError, UnknownName
+from kedge.core.manifolds import Chart, charts_of, space_of
+from kedge.core.registry import Registry, sensors, unknown, vehicles
+from kedge.files.models import build_filter, components, parameters_of
+from kedge.files.toml import Strict, read_toml
+
+__all__ = ["RigConfig", "build_filter", "load_rig_config", "rig_schema", "shipped_rigs"]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0)]
+
+
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, int | float) else value
+
+
+_NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
+Numbers = Annotated[list[Finite], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
+Spreads = Annotated[list[Positive], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
+
+
+class SlowConfig(Strict):
+    """A slowly varying quantity that is estimated with the state."""
+
+    std: Positive
+    walk: Annotated[Finite, Field(ge=0)] = 0.0
+    time_constant: Positive | None = None
+
+
+class VehicleConfig(Strict):
+    """The motion model."""
+
+    model: str
+    parameters: dict[str, Finite] = {}
+    slow: dict[str, SlowConfig] = {}
+
+    def complaints(self) -> Iterator[str]:
+        """Unknown names."""
+        yield from _model_complaints(vehicles, self.model, self.parameters)
+
+
+class ControlConfig(Strict):
+    """Where the control comes from."""
+
+    source: str
+    columns: dict[str, str] = {}
+
+
+class MountConfig(Strict):
+    """Where a sensor sits on the body: forward, left (m), turned left (rad)."""
+
+    x: Finite = 0.0
+    y: Finite = 0.0
+    heading: Finite = 0.0
+
+
+class SensorConfig(Strict):
+    """One installed sensor and where its readings are."""
+
+    model: str
+    source: str | None = None
+    columns: dict[str, str] = {}
+    target: str | None = None
+    map: str | None = None
+    ignore_targets: list[str] = []
+    parameters: dict[str, Finite] = {}
+    latency: Finite = 0.0
+    rate: Positive | None = None
+    gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
+    mount: MountConfig | None = None
+    std: dict[str, str] = {}
+    covariance: list[str] | None = None
+
+    def complaints(self) -> Iterator[str]:
+        """Unknown names, and keys that do not go together."""
+        wrong = list(_model_complaints(sensors, self.model, self.parameters))
+        yield from wrong
+        if wrong and wrong[0].startswith("model"):
+            return
+        cls = sensors.get(self.model)
+        parts = list(components(cls.measures))
+        for key in ("columns", "std"):
+            for name in getattr(self, key):
+                if name not in parts:
+                    yield f"{key}.{name}: {unknown('measurement component', name, parts)}"
+        if self.std and (absent := [part for part in parts if part not in self.std]):
+            yield f"std: found {list(self.std)}, expected a column for {absent} too"
+        size = space_of(cls.measures).size
+        if self.covariance is not None and len(self.covariance) != size * (size + 1) // 2:
+            yield (
+                f"covariance: found {len(self.covariance)} columns, expected the "
+                f"{size * (size + 1) // 2} of the upper triangle for {', '.join(parts)}"
+            )
+        if self.covariance is not None and self.std:
+            yield "covariance: found beside std, expected one of the two"
+        has_map = "target" in {field.name for field in dataclasses.fields(cls)}
+        if has_map and self.map is None:
+            yield f"map: this key is missing; sensor {self.model!r} needs a map of targets"
+        for key in () if has_map else ("map", "target", "ignore_targets"):
+            if getattr(self, key):
+                yield f"{key}: sensor {self.model!r} has no targets; leave this key out"
+
+
+class MapConfig(Strict):
+    """A map of targets, in SI units and ENU."""
+
+    ids: list[str]
+    columns: dict[str, list[Finite]]
+
+    def complaints(self) -> Iterator[str]:
+        """Columns of another length, targets that are listed twice."""
+        for name, values in self.columns.items():
+            if len(values) != len(self.ids):
+                yield f"columns.{name}: found {len(values)} values, expected {len(self.ids)}"
+        if twice := sorted({name for name in self.ids if self.ids.count(name) > 1}):
+            yield f"ids: found {twice[0]!r} twice, expected each target once"
+
+
+class PriorConfig(Strict):
+    """What is believed at the start."""
+
+    from_truth: list[str] = []
+    mean: dict[str, Numbers] = {}
+    std: dict[str, Spreads] = {}
+    covariance: list[list[Finite]] | None = None
+
+
+class FilterConfig(Strict):
+    """The filter, with its parameters after a colon."""
+
+    name: str = "extended"
+
+    def complaints(self) -> Iterator[str]:
+        """What is wrong with the name."""
+        try:
+            build_filter(self.name)
+        except KedgeError as error:
+            yield f"name: {error}"
+
+
+class OutputConfig(Strict):
+    """When the estimate is written, in Hz."""
+
+    rate: Positive = 10.0
+
+
+class RigConfig(Strict):
+    """A vehicle, its sensors, where their readings stand in a log, and a filter."""
+
+    title: str = ""
+    format: str = "folder"
+    vehicle: VehicleConfig
+    control: ControlConfig | None = None
+    sensors: dict[str, SensorConfig] = {}
+    maps: dict[str, MapConfig] = {}
+    prior: PriorConfig = PriorConfig()
+    filter: FilterConfig = FilterConfig()
+    output: OutputConfig = OutputConfig()
+    _origin: str = PrivateAttr("")
+
+    @property
+    def origin(self) -> str:
+        """The file, for messages."""
+        return self._origin
+
+    def complaints(self) -> Iterator[str]:
+        """A control or a prior that does not fit the vehicle."""
+        try:
+            vehicle = vehicles.get(self.vehicle.model)(**self.vehicle.parameters)
+        except ContractError as error:
+            yield f"vehicle.parameters: {error}"
+            return
+        driven = list(components(type(vehicle.drive(0.0))))
+        if driven and self.control is None:
+            yield (
+                f"control: this key is missing; vehicle {self.vehicle.model!r} is driven by "
+                f"{', '.join(driven)}"
+            )
+        for name in self.control.columns if self.control else ():
+            if name not in driven:
+                yield f"control.columns.{name}: {unknown('control component', name, driven)}"
+        yield from self._prior_complaints(charts_of(type(vehicle.start())))
+
+    def _prior_complaints(self, own: dict[str, Chart]) -> Iterator[str]:
+        prior, fields = self.prior, [*own, *self.vehicle.slow]
+        known = {"std": list(own), "mean": fields, "from_truth": list(own)}
+        for key, names in known.items():
+            for name in getattr(prior, key):
+                if name not in names:
+                    yield f"prior.{key}.{name}: {unknown('field of the state', name, names)}"
+        sizes = {
+            "std": {name: chart.size for name, chart in own.items()},
+            "mean": {name: int(np.prod(chart.shape)) for name, chart in own.items()},
+        }
+        for key, wanted in sizes.items():
+            for name, values in getattr(prior, key).items():
+                size = wanted.get(name, len(values))
+                if len(values) not in (1, size):
+                    yield (
+                        f"prior.{key}.{name}: found {len(values)} numbers, expected 1 or {size}"
+                    )
+        if prior.covariance is None:
+            for name in own:
+                if name not in prior.std:
+                    yield f"prior.std.{name}: this key is missing"
+            return
+        if prior.std:
+            yield "prior.covariance: found beside prior.std, expected one of the two"
+        yield from _covariance_complaints(prior.covariance, sum(c.size for c in own.values()))
+
+
+def _covariance_complaints(rows: list[list[float]], size: int) -> Iterator[str]:
+    if [len(row) for row in rows] != [size] * size:
+        yield f"prior.covariance: expected {size} rows of {size} numbers"
+        return
+    cov = np.array(rows)
+    if not np.allclose(cov, cov.T, rtol=1e-9, atol=0):
+        yield "prior.covariance: not symmetric, expected a covariance"
+    elif (least := float(np.linalg.eigvalsh(cov)[0])) <= 0:
+        yield (
+            f"prior.covariance: not positive definite: found the eigenvalue {least:.6g}, "
+            "expected all above 0"
+        )
+
+
+def _model_complaints(
+    registry: Registry, name: str, parameters: Mapping[str, float]
+) -> Iterator[str]:
+    try:
+        known = parameters_of(registry.get(name))
+    except UnknownName as error:
+        yield f"model: {error}"
+        return
+    for key in parameters:
+        if key not in known:
+            yield f"parameters.{key}: {unknown(f'parameter of {name}', key, list(known))}"
+
+
+def shipped_rigs() -> list[str]:
+    """The names of the rigs that come with kedge."""
+    files = resources.files("kedge").joinpath("rigs").iterdir()
+    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
+
+
+def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> RigConfig:
+    """Read a shipped rig by name, or a TOML file by path.
+
+    Args:
+        rig: a name without a slash or ``.toml`` is that of a shipped rig.
+        overrides: dotted key -> value as TOML, in place of what the file says.
+
+    Raises:
+        UnknownName: no rig of that name is shipped.
+        ConfigError: the file is missing or wrong; one line for each mistake.
+    """
+    path = Path(rig)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        config = read_toml(path, RigConfig, overrides)
+    elif rig not in shipped_rigs():
+        raise UnknownName(unknown("rig", rig, shipped_rigs()))
+    else:
+        shipped = resources.files("kedge").joinpath("rigs", f"{rig}.toml")
+        with resources.as_file(shipped) as path:
+            config = read_toml(path, RigConfig, overrides)
+    config._origin = str(path)
+    return config
+
+
+def rig_schema() -> dict[str, Any]:
+    """The JSON schema of rig files."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | (
+        RigConfig.model_json_schema()
+    )

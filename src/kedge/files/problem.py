@@ -1,0 +1,293 @@
+"""From a rig file and a log to what a filter runs on: rig, recording, truth, provenance."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int64
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.errors import ContractError, DataError
+from kedge.core.manifolds import Chart, charts_of, space_of
+from kedge.core.registry import sensors, unknown, vehicles
+from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
+from kedge.estimation.rig import Installation, Mount, Rig, check_reads
+from kedge.files.config import RigConfig, load_rig_config
+from kedge.files.logs import RawLog, digest_inputs
+from kedge.files.models import columns_of, components
+from kedge.files.readers import read_log
+from kedge.files.readings import (
+    build_sensor,
+    find_columns,
+    find_table,
+    join,
+    keep_targets,
+    map_of,
+    read_controls,
+    read_readings,
+)
+from kedge.files.tables import Table, require_finite
+from kedge.vehicles.augmented import Wander, augment
+
+
+class Source(NamedTuple):
+    """Where a sensor's readings come from, in the order of its readings."""
+
+    stamps: Int64[np.ndarray, " n"]
+    """ns, as stamped: later than the event by the sensor's latency."""
+    targets: list[str] | None
+    lines: Int[np.ndarray, " n"]
+    """Line of each reading in the source's file."""
+
+
+class Problem(NamedTuple):
+    """A rig and a log, put together."""
+
+    title: str
+    config: dict[str, Any]
+    """The resolved rig file."""
+    rig: Rig
+    recording: Recording
+    truth: Truth | None
+    filter: str
+    sources: dict[str, Source]
+    """By sensor."""
+    target_names: dict[str, tuple[str, ...]]
+    """By sensor over a map, the ids of its targets."""
+    notes: list[str]
+    """What was left out or changed on the way."""
+    inputs_digest: str
+
+
+def load_problem(
+    rig: str,
+    log: str,
+    truth: str = "auto",
+    until: float | None = None,
+    overrides: Mapping[str, str] | None = None,
+) -> Problem:
+    """Read a rig and a log and fit them together.
+
+    Estimation starts at the first control, without one at the first reading; later if the
+    prior needs a true pose that comes later. What is before is left out and counted.
+
+    Args:
+        rig: a shipped rig's name or a TOML file.
+        log: PATH or PATH#PART.
+        truth: "auto" for the log's own, "none", or a source to compare with. The prior's
+            ``from_truth`` takes it even if nothing is compared.
+        until: stop this many seconds after the start.
+        overrides: dotted key of the rig -> value as TOML.
+
+    Raises:
+        KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
+    """
+    config = load_rig_config(rig, overrides)
+    bare, vehicle = _vehicle(config)
+    raw = read_log(log, config.format)
+    notes = list(raw.notes)
+    reference = _reference(raw, truth)
+    control_stamps, controls = read_controls(config, raw, bare)
+    plain = {name: build_sensor(config, raw, name) for name in config.sensors}
+    stamped, sources = {}, {}
+    for name, sensor in config.sensors.items():
+        table = keep_targets(config, raw, name, notes)
+        stamped[name] = read_readings(config, raw, name, table, type(plain[name]).measures)
+        column = sensor.target or "target"
+        targets = table.texts[column] if sensor.map else None
+        sources[name] = Source(table.stamps, targets, table.lines)
+
+    events = [source.stamps for source in stamped.values()]
+    every = np.concatenate([control_stamps, *events])
+    if len(every) == 0:
+        raise DataError(f"{log}: empty log: found no control and no reading")
+    start = int(control_stamps[0]) if len(control_stamps) else int(every.min())
+    poses = None
+    if config.prior.from_truth:
+        poses = _pose_table(config, raw, reference)
+        _check_overlap(poses, start, int(every.max()))
+        if poses.stamps[0] > start:
+            start = int(poses.stamps[0])
+            notes.append(f"truth begins late; the estimate starts at {start} ns with it")
+    end = int(every.max())
+    if until is not None:
+        if not until > 0:
+            raise DataError(f"until: found {until:g} s, expected a time above 0")
+        end = min(end, start + round(until * SECOND))
+
+    for name in stamped:
+        inside = (stamped[name].stamps >= start) & (stamped[name].stamps <= end)
+        early = int((stamped[name].stamps < start).sum())
+        if early:
+            notes.append(f"{name}: {early} readings before the start were left out")
+        stamped[name], sources[name] = _cut(stamped[name], sources[name], inside)
+
+    prior = _prior(config, bare, vehicle, poses, start)
+    installed = tuple(_installation(config, name, plain[name]) for name in plain)
+    recording = assemble(
+        start, end, control_stamps, controls, list(stamped.values()), config.output.rate
+    )
+    return Problem(
+        title=raw.title or config.title,
+        config=config.model_dump(mode="json", exclude_none=True),
+        rig=Rig(vehicle, installed, prior),
+        recording=recording,
+        truth=None if reference is None else _truth(reference, bare, start, end),
+        filter=config.filter.name,
+        sources=sources,
+        target_names={
+            name: map_of(config, raw, name).ids
+            for name, spec in config.sensors.items()
+            if spec.map is not None
+        },
+        notes=notes,
+        inputs_digest=digest_inputs(raw),
+    )
+
+
+def _vehicle(config: RigConfig) -> tuple[AbstractVehicle, AbstractVehicle]:
+    """The vehicle without and with its slow states, once every sensor is known to fit it."""
+    try:
+        bare = vehicles.get(config.vehicle.model)(**config.vehicle.parameters)
+        plain = {n: sensors.get(s.model)(**s.parameters) for n, s in config.sensors.items()}
+        slow = {
+            name: Wander(slow.walk, slow.time_constant or float("inf"))
+            for name, slow in config.vehicle.slow.items()
+        }
+        vehicle = augment(bare, slow, list(plain.values()))
+        for name, sensor in plain.items():
+            installation = _installation(config, name, sensor)
+            check_reads(installation, type(vehicle.start()), type(bare).__name__)
+    except ContractError as error:
+        raise ContractError(f"{config.origin}: {error}") from error
+    return bare, vehicle
+
+
+def _installation(config: RigConfig, name: str, sensor: AbstractSensor) -> Installation:
+    spec = config.sensors[name]
+    mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
+    return Installation(name, sensor, spec.rate, spec.latency, spec.gate, mount)
+
+
+def _reference(raw: RawLog, truth: str) -> Table | None:
+    if truth == "none":
+        return None
+    if truth == "auto" or (raw.truth is not None and truth == raw.truth.name):
+        return raw.truth
+    return find_table(raw, truth, "--truth")
+
+
+def _pose_table(config: RigConfig, raw: RawLog, reference: Table | None) -> Table:
+    table = raw.truth if reference is None else reference
+    if table is None:
+        raise DataError(
+            f"{config.origin}: prior.from_truth needs a true pose, but the log has no truth"
+        )
+    return table
+
+
+def _truth(table: Table, vehicle: AbstractVehicle, start: int, end: int) -> Truth:
+    """The true trajectory from ``start`` to ``end``, with a pose before and behind for between.
+
+    Raises:
+        DataError: it has no field of the state, or is of another time.
+    """
+    fields = {
+        field: _field(table, field, chart)
+        for field, chart in charts_of(type(vehicle.start())).items()
+        if all(name in table.columns for name in columns_of(field, chart))
+    }
+    if not fields:
+        wanted = ", ".join(components(type(vehicle.start())))
+        raise DataError(
+            f"{table.path}: truth: found columns {', '.join(table.columns)}, expected some of "
+            f"{wanted}"
+        )
+    _check_overlap(table, start, end)
+    low = max(int(np.searchsorted(table.stamps, start, side="right")) - 1, 0)
+    high = int(np.searchsorted(table.stamps, end, side="left")) + 1
+    time = (table.stamps[low:high] - start) / SECOND
+    return Truth(time, {name: values[low:high] for name, values in fields.items()})
+
+
+def _check_overlap(table: Table, start: int, end: int) -> None:
+    first, last = int(table.stamps[0]), int(table.stamps[-1])
+    if last < start or first > end:
+        raise DataError(
+            f"{table.path}: truth does not overlap in time: it spans {_span(first, last)}, the "
+            f"controls and readings {_span(start, end)}"
+        )
+
+
+def _field(table: Table, field: str, chart: Chart) -> Float[np.ndarray, "n ..."]:
+    names = columns_of(field, chart)
+    unit = chart.unit if chart.shape == chart.tangent_shape else "1"
+    found = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
+    require_finite(table, names, "truth")
+    return join(found, names, (len(table.stamps), *chart.shape))
+
+
+def _span(first: int, last: int) -> str:
+    def seconds(stamp: int) -> str:
+        return f"{'-' if stamp < 0 else ''}{abs(stamp) // SECOND}.{abs(stamp) % SECOND:09d}"
+
+    return f"{seconds(first)} s to {seconds(last)} s"
+
+
+def _pose_at(table: Table, field: str, chart: Chart, stamp: int) -> np.ndarray:
+    """A true field at ``stamp``: between two poses by the chart, outside the nearest."""
+    if absent := [name for name in columns_of(field, chart) if name not in table.columns]:
+        what = unknown("column", absent[0], list(table.columns))
+        raise DataError(f"{table.path}: {what} (for prior.from_truth)")
+    values = _field(table, field, chart)
+    after = int(np.clip(np.searchsorted(table.stamps, stamp), 1, max(len(values) - 1, 1)))
+    if len(values) == 1:
+        return values[0]
+    low, high = table.stamps[after - 1], table.stamps[after]
+    share = float(np.clip((stamp - low) / (high - low), 0.0, 1.0))
+
+    @jax.jit  # one program to compile instead of ten
+    def between(before, behind, share):
+        return chart.boxplus(before, share * chart.boxminus(behind, before))
+
+    return np.asarray(between(values[after - 1], values[after], share))
+
+
+def _prior(
+    config: RigConfig,
+    bare: AbstractVehicle,
+    vehicle: AbstractVehicle,
+    poses: Table | None,
+    start: int,
+) -> Gaussian:
+    prior, mean = config.prior, vehicle.start()
+    charts, given = charts_of(type(mean)), {}
+    for field, values in prior.mean.items():
+        full = np.broadcast_to(values, charts[field].shape or (1,))
+        given[field] = jnp.asarray(full.reshape(charts[field].shape))
+    if poses is not None:
+        for field in prior.from_truth:
+            given[field] = jnp.asarray(_pose_at(poses, field, charts[field], start))
+    own = space_of(type(bare.start()))
+    stds = dict(prior.std) | {name: [slow.std] for name, slow in config.vehicle.slow.items()}
+    cov = np.zeros((space_of(type(mean)).size,) * 2)
+    for field, cut in space_of(type(mean)).slices().items():
+        if field in stds:
+            cov[cut, cut] = np.diag(np.broadcast_to(stds[field], cut.stop - cut.start) ** 2)
+    if prior.covariance is not None:
+        cov[: own.size, : own.size] = prior.covariance
+    return Gaussian(mean._replace(**given), jnp.asarray(cov))
+
+
+def _cut(
+    stamped: Stamped, source: Source, inside: Bool[np.ndarray, " n"]
+) -> tuple[Stamped, Source]:
+    rows = np.flatnonzero(inside)
+    readings = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[rows]), stamped.readings)
+    targets = None if source.targets is None else [source.targets[row] for row in rows]
+    return Stamped(stamped.stamps[rows], readings), Source(
+        source.stamps[rows], targets, source.lines[rows]
+    )

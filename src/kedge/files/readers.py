@@ -1,0 +1,31 @@
+"""Reading a log by the name of its format; ``PATH#PART`` names one vehicle of a data set."""
+
+import importlib
+from pathlib import Path
+
+from kedge.core.errors import UnknownName
+from kedge.core.registry import unknown
+from kedge.files.logs import RawLog
+
+FORMATS = {
+    "folder": "kedge.files.logs:read_folder",
+    "mrclam": "kedge.files.mrclam:read_mrclam",
+}
+"""Format -> ``module:function`` of (path, part or None); imported when it is asked for."""
+
+
+def read_log(log: str, format: str = "folder") -> RawLog:
+    """Read ``PATH`` or ``PATH#PART``.
+
+    Raises:
+        UnknownName: no such format, or no such part.
+        DataError: the log cannot be used; the message names file, line and column.
+    """
+    if format not in FORMATS:
+        raise UnknownName(unknown("log format", format, sorted(FORMATS)))
+    path, mark, part = log.rpartition("#")
+    # A folder may have the mark in its name.
+    if not mark or Path(log).exists():
+        path, part = log, ""
+    module, _, function = FORMATS[format].partition(":")
+    return getattr(importlib.import_module(module), function)(Path(path), part or None)
