@@ -1,0 +1,1 @@
+"""How good an estimate is, and whether it knows: accuracy, consistency, studies, reports."""

@@ -1,0 +1,236 @@
+"""What a run was worth: its errors, the honesty of its covariance, the fate of the readings."""
+
+from collections import Counter
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from kedge.core.errors import DataError
+from kedge.core.manifolds import Chart, space_of
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import Estimates
+from kedge.estimation.log import Recording, Truth
+from kedge.estimation.rig import Rig
+from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
+from kedge.evaluation.trajectory import (
+    Trajectory,
+    absolute_pose_error,
+    align,
+    associate,
+    relative_pose_error,
+)
+
+MAX_GAP = 0.5  # s; across a longer gap truth is unknown
+
+
+class Track(NamedTuple):
+    """An estimate at the output times, on the host."""
+
+    time: Float[np.ndarray, " K"]
+    """s since the log's start."""
+    stamps: Any
+    """The same times, exact, in ns."""
+    mean: Any
+    """The state, every leaf with a leading time axis."""
+    cov: Float[np.ndarray, "K n n"]
+
+
+class Errors(NamedTuple):
+    """Truth minus estimate in tangent coordinates, for the fields that truth knows."""
+
+    time: Float[np.ndarray, " K"]
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    error: Float[np.ndarray, "K k"]
+    """NaN where truth is unknown."""
+    cov: Float[np.ndarray, "K k k"]
+    """The estimate's covariance of these components."""
+    fields: dict[str, slice]
+
+
+class Run(NamedTuple):
+    """One filter's work on one log."""
+
+    name: str
+    """What the user typed, e.g. ``particle:count=5000``."""
+    estimates: Estimates
+    track: Track
+    errors: Errors | None
+    """None without truth."""
+    scores: dict[str, Any]
+    """Ready for ``summary.json``."""
+
+
+def track_of(estimates: Estimates, recording: Recording) -> Track:
+    """The estimate at the times at which it was asked for.
+
+    Raises:
+        DataError: it is not finite; the message says from when on.
+    """
+    at = recording.outputs
+    mean = jax.tree.map(lambda leaf: np.asarray(leaf)[at], estimates.moments.mean)
+    cov = np.asarray(estimates.moments.cov)[at]
+    time = np.asarray(estimates.time)[at]
+    leaves = [*jax.tree.leaves(mean), cov]
+    finite = np.all([np.isfinite(v).reshape(len(time), -1).all(axis=1) for v in leaves], axis=0)
+    if not finite.all():
+        raise DataError(f"the estimate is not finite from {time[np.argmin(finite)]:.3f} s on")
+    return Track(time, recording.stamps[at], mean, cov)
+
+
+def errors_of(track: Track, truth: Truth, max_gap: float | int = MAX_GAP) -> Errors:
+    """Compare a track with truth, interpolated in each field's chart."""
+    states = space_of(type(track.mean))
+    cuts, charts = states.slices(), dict(zip(states.cls._fields, states.charts, strict=True))
+    known = [name for name in states.cls._fields if name in truth.fields]
+    right = np.searchsorted(truth.time, track.time).clip(1, len(truth.time) - 1)
+    span = truth.time[right] - truth.time[right - 1]
+    share = (track.time - truth.time[right - 1]) / span
+    covered = (share >= 0) & (share <= 1) & ((span <= max_gap) | (share == 0) | (share == 1))
+
+    columns, fields, picked, start = [], {}, [], 0
+    for name in known:
+        chart = charts[name]
+        columns.append(
+            _field_error(
+                chart, truth.fields[name], right, share, np.asarray(getattr(track.mean, name))
+            )
+        )
+        fields[name] = slice(start, start + chart.size)
+        picked += range(cuts[name].start, cuts[name].stop)
+        start += chart.size
+    error = np.concatenate(columns, axis=1)
+    error[~covered] = np.nan
+    return Errors(
+        track.time,
+        tuple(states.labels[i] for i in picked),
+        tuple(states.units[i] for i in picked),
+        error,
+        track.cov[:, picked][:, :, picked],
+        fields,
+    )
+
+
+def score(
+    name: str, estimates: Estimates, recording: Recording, rig: Rig, truth: Truth | None = None
+) -> Run:
+    """Everything about one run that goes into the summary and the report."""
+    track = track_of(estimates, recording)
+    scores: dict[str, Any] = {"sensors": _sensor_scores(estimates, recording, rig)}
+    errors = None
+    if truth is not None:
+        errors = errors_of(track, truth)
+        scores |= _accuracy(errors)
+        if "position" in errors.fields:
+            scores |= _path_scores(track, truth)
+    return Run(name, estimates, track, errors, scores)
+
+
+def _field_error(
+    chart: Chart, values: np.ndarray, right: np.ndarray, share: np.ndarray, mean: np.ndarray
+) -> Float[np.ndarray, "K c"]:
+    """Truth minus estimate, truth taken along the chart's shortest way between its samples."""
+
+    @jax.jit
+    @jax.vmap
+    def one(before, after, part, estimated):
+        true = chart.boxplus(before, part * chart.boxminus(after, before))
+        return chart.boxminus(true, estimated)
+
+    return np.array(one(values[right - 1], values[right], share, mean))
+
+
+def _accuracy(errors: Errors) -> dict[str, Any]:
+    """RMSE with autocorrelation-aware intervals, NEES and coverage, per field and component."""
+    there = ~np.isnan(errors.error).any(axis=1)
+    if not there.any():
+        raise DataError("truth covers none of the output times")
+    rmse, interval, share, mean_nees = {}, {}, {}, {}
+    for field, cut in errors.fields.items():
+        squared = np.sum(errors.error[:, cut] ** 2, axis=1)
+        rmse[field], interval[field] = _root_mean(squared)
+        inside = coverage(errors.error[there][:, cut], errors.cov[there][:, cut, cut])
+        share[field] = float(inside)
+        mean_nees[field] = float(
+            jnp.mean(nees(errors.error[there][:, cut], errors.cov[there][:, cut, cut]))
+        )
+        if cut.stop - cut.start > 1:
+            for index in range(cut.start, cut.stop):
+                label = errors.labels[index]
+                rmse[label], interval[label] = _root_mean(errors.error[:, index] ** 2)
+    whole = np.asarray(nees(errors.error[there], errors.cov[there]))
+    return {
+        "rmse": rmse,
+        "rmse_ci": interval,
+        "nees": float(whole.mean()),
+        "nees_dof": errors.error.shape[1],
+        "nees_by_field": mean_nees,
+        "coverage_95": share,
+        "samples": int(there.sum()),
+    }
+
+
+def _root_mean(squared: Float[np.ndarray, " K"]) -> tuple[float, list[float]]:
+    found = mean_interval(squared)
+    ends = np.sqrt(np.maximum([found.lower, found.upper], 0.0))
+    return float(np.sqrt(found.mean)), ends.tolist()
+
+
+def _path_scores(track: Track, truth: Truth) -> dict[str, Any]:
+    """APE and RPE in the convention of evo, and the final error as a share of the path."""
+    known = "heading" in truth.fields and hasattr(track.mean, "heading")
+    estimate, true = associate(
+        Trajectory(track.time, track.mean.position, track.mean.heading if known else None),
+        Trajectory(
+            truth.time, truth.fields["position"], truth.fields["heading"] if known else None
+        ),
+        MAX_GAP,
+    )
+    found: dict[str, Any] = {"ape": {}, "rpe": {}}
+    for kind in ("none", "rigid"):
+        ape = absolute_pose_error(align(estimate, true, kind), true)
+        found["ape"][kind] = ape.translation._asdict()
+    for metres in (1.0, 10.0):
+        try:
+            rpe = relative_pose_error(estimate, true, metres, "metres", "truth")
+        except DataError:  # the vehicle did not drive so far
+            continue
+        found["rpe"][f"{metres:g}_m"] = rpe.translation._asdict()
+    steps = np.linalg.norm(np.diff(true.position, axis=0), axis=1)
+    found["distance"] = float(steps.sum())
+    found["final_error"] = float(np.linalg.norm(estimate.position[-1] - true.position[-1]))
+    return found
+
+
+def _sensor_scores(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, Any]:
+    """Per sensor: verdict counts, NIS against its expectation, whiteness of the innovations."""
+    outcome = jax.tree.map(np.asarray, estimates.outcome)
+    sensor = np.asarray(recording.log.schedule.sensor)
+    found = {}
+    for index, installation in enumerate(rig.sensors):
+        mine = np.flatnonzero(sensor == index)
+        verdicts = Counter(Verdict(int(v)).name for v in outcome.verdict[mine])
+        fused = mine[outcome.verdict[mine] == Verdict.FUSED]
+        entry: dict[str, Any] = {
+            "readings": len(mine),
+            "verdicts": dict(sorted(verdicts.items())),
+        }
+        if len(fused):
+            entry["nis"] = float(outcome.nis[fused].mean())
+            entry["nis_dof"] = float(outcome.dof[fused].mean())
+            entry["log_likelihood"] = float(outcome.log_likelihood[fused].sum())
+            size = space_of(installation.sensor.measures).size
+            white = outcome.white[fused][:, :size]
+            lags = min(20, len(fused) - 1)
+            if lags >= 1 and (np.nansum(white**2, axis=0) > 0).all():
+                test = whiteness(white, lags)
+                entry["whiteness"] = {
+                    "lag_1": float(test.autocorrelation[0]),
+                    "p_value": test.p_value,
+                    "white": bool(test.white),
+                }
+        found[installation.name] = entry
+    return found
