@@ -1,0 +1,69 @@
+"""Best-of times, side by side in one run, as ratios; printed and kept as JSON."""
+
+import json
+import os
+import platform
+import time
+from pathlib import Path
+
+import pytest
+
+
+class Times:
+    """Collects rows of a rival's time and ours."""
+
+    def __init__(self):
+        self.rows, self.notes = [], []
+
+    def best(self, call, repeats):
+        """What the call returns, and its shortest time in s."""
+        shortest = float("inf")
+        for _ in range(repeats):
+            before = time.perf_counter()
+            found = call()
+            shortest = min(shortest, time.perf_counter() - before)
+        return found, shortest
+
+    def row(self, what, rival, theirs, ours, at_least=None):
+        """One comparison, in s an event."""
+        self.rows.append(
+            {
+                "what": what,
+                "rival": rival,
+                "rival_us": theirs * 1e6,
+                "kedge_us": ours * 1e6,
+                "ratio": theirs / ours,
+                "aim": at_least,
+            }
+        )
+
+    def note(self, text):
+        """A line below the table."""
+        self.notes.append(text)
+
+
+COLLECTED = Times()
+
+
+@pytest.fixture(scope="session")
+def times():
+    return COLLECTED
+
+
+def pytest_terminal_summary(terminalreporter):
+    if not COLLECTED.rows:
+        return
+    write = terminalreporter.write_line
+    write(f"{'':28s} {'rival':>10s} {'us/event':>10s} {'kedge':>10s} {'ratio':>8s} {'aim':>6s}")
+    for row in COLLECTED.rows:
+        write(
+            f"{row['what']:28s} {row['rival']:>10s} {row['rival_us']:10.2f} "
+            f"{row['kedge_us']:10.3f} {row['ratio']:7.1f}x {row['aim'] or 0:5d}x"
+        )
+    for note in COLLECTED.notes:
+        write(note)
+    machine = {"machine": platform.machine(), "cores": os.cpu_count()}
+    target = Path(os.environ.get("BENCH", "build/benchmarks.json"))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    content = {**machine, "rows": COLLECTED.rows, "notes": COLLECTED.notes}
+    target.write_text(json.dumps(content, indent=2) + "\n")

@@ -1,0 +1,1 @@
+"""Layer 6: what people run. No mathematics in here."""

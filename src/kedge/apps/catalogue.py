@@ -1,0 +1,80 @@
+"""What ``kedge list`` shows."""
+
+from importlib.resources import files
+from typing import Any
+
+from kedge.core.errors import UnknownName
+from kedge.core.registry import unknown
+
+FAMILIES = ("vehicles", "sensors", "filters", "rigs", "datasets")
+
+
+def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
+    """One family, or all of them, by name.
+
+    Raises:
+        UnknownName: there is no such family.
+    """
+    if what not in (*FAMILIES, "all"):
+        raise UnknownName(unknown("families", what, [*FAMILIES, "all"]))
+    chosen = FAMILIES if what == "all" else (what,)
+    found: dict[str, dict[str, Any]] = {}
+    if {"vehicles", "sensors", "filters"} & set(chosen):
+        from kedge.apps.describe import everything
+
+        found |= {family: table for family, table in everything().items() if family in chosen}
+    if "rigs" in chosen:
+        found["rigs"] = _rigs()
+    if "datasets" in chosen:
+        found["datasets"] = _datasets()
+    return {family: found[family] for family in chosen}
+
+
+def print_catalogue(found: dict[str, dict[str, Any]]) -> None:
+    """Names, what they are, and their parameters, for people."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    for family, table in found.items():
+        console.print(f"[bold]{family}[/bold]")
+        for name, about in table.items():
+            console.print(f"  [cyan]{name:20s}[/cyan] {about['summary']}", markup=True)
+            settings = [
+                f"{key}={_plain(value['default'])}{' ' + value['unit'] if value['unit'] else ''}"
+                for key, value in about.get("parameters", {}).items()
+            ]
+            if settings:
+                console.print(f"  {'':20s} {', '.join(settings)}", style="dim", markup=False)
+        console.print()
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, (int, float, str)) else "[...]"
+
+
+def _rigs() -> dict[str, Any]:
+    import tomllib
+
+    folder = files("kedge") / "rigs"
+    names = sorted(p.name for p in folder.iterdir() if p.name.endswith(".toml"))
+    return {
+        name.removesuffix(".toml"): {
+            "summary": tomllib.loads((folder / name).read_text()).get("title", "")
+        }
+        for name in names
+    }
+
+
+def _datasets() -> dict[str, Any]:
+    from kedge.apps.datasets import DATASETS, locate
+
+    found = {}
+    for name, entry in DATASETS.items():
+        place = locate(name)
+        found[name] = {
+            "summary": f"{entry.title}: {place or 'not here; kedge datasets fetch ' + name}",
+            "path": str(place) if place else None,
+            "url": entry.url,
+            "cite": entry.cite,
+        }
+    return found

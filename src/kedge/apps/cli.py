@@ -1,0 +1,207 @@
+"""The command line. Commands import what they need when they run, so ``--help`` is quick."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from kedge import __version__
+from kedge.apps.console import ThresholdMissed, print_filters, print_json, require
+from kedge.core.errors import KedgeError
+
+app = typer.Typer(
+    name="kedge",
+    help="Know where your vehicle is, and how sure you are.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+datasets_app = typer.Typer(help="Recorded data sets.", no_args_is_help=True)
+config_app = typer.Typer(help="Configuration files.", no_args_is_help=True)
+app.add_typer(datasets_app, name="datasets")
+app.add_typer(config_app, name="config")
+
+Rig = Annotated[str, typer.Argument(help="A shipped rig's name or a TOML file.")]
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="LOG", help="A log folder or a data set; PATH#PART picks a vehicle in it."
+    ),
+]
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary to standard output.")]
+Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
+Until = Annotated[float | None, typer.Option(help="Use only so many seconds of the log.")]
+Seed = Annotated[int, typer.Option(help="Seed of the filters that draw random numbers.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
+]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require", help="Exit with 3 unless it holds, e.g. 'extended.rmse.position<=0.25'."
+    ),
+]
+
+
+@app.command("list")
+def list_(
+    what: Annotated[str, typer.Argument(help="A family, or 'all'.")] = "all",
+    as_json: Json = False,
+) -> None:
+    """Vehicles, sensors, filters, rigs and data sets that there are."""
+    from kedge.apps.catalogue import catalogue, print_catalogue
+
+    found = catalogue(what)
+    if as_json:
+        print_json(found)
+    else:
+        print_catalogue(found)
+
+
+@app.command()
+def estimate(
+    rig: Rig,
+    log: Source,
+    out: Out,
+    filter: Annotated[str | None, typer.Option(help="Instead of the rig's own.")] = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Smooth it as well.")] = False,
+    truth: Truth = "auto",
+    until: Until = None,
+    seed: Seed = 0,
+    set_: Set = None,
+    require_: Require = None,
+    as_json: Json = False,
+) -> None:
+    """One filter over a recorded log."""
+    from kedge.apps.workflow import execute, load
+
+    problem = load(rig, log, truth, until, set_)
+    name = filter or problem.filter
+    names = [name, f"{name}+smoother"] if smooth else [name]
+    _finish(execute(problem, names, out, "estimate", seed), out, require_, as_json)
+
+
+@app.command()
+def compare(
+    rig: Rig,
+    log: Source,
+    out: Out,
+    filters: Annotated[
+        str, typer.Option(help="Names with commas between; NAME+smoother smooths.")
+    ] = "dead-reckoning,extended,unscented,extended+smoother",
+    truth: Truth = "auto",
+    until: Until = None,
+    seed: Seed = 0,
+    set_: Set = None,
+    require_: Require = None,
+    as_json: Json = False,
+) -> None:
+    """Several filters over one recorded log."""
+    from kedge.apps.workflow import execute, load, split_names
+
+    problem = load(rig, log, truth, until, set_)
+    names = split_names(filters)
+    _finish(execute(problem, names, out, "compare", seed), out, require_, as_json)
+
+
+@app.command()
+def demo(
+    out: Out = Path("kedge-demo"),
+    until: Until = None,
+    as_json: Json = False,
+) -> None:
+    """A real robot's recorded log, end to end: filters side by side, and a report."""
+    from kedge.apps.demo import FILTERS, demo_problem
+    from kedge.apps.workflow import execute
+
+    problem = demo_problem(until)
+    _finish(execute(problem, FILTERS, out, "demo", 0), out, None, as_json)
+
+
+@datasets_app.command("list")
+def datasets_list(as_json: Json = False) -> None:
+    """Data sets that kedge knows, and where each is on this machine."""
+    from kedge.apps.catalogue import catalogue, print_catalogue
+
+    found = catalogue("datasets")
+    if as_json:
+        print_json(found)
+    else:
+        print_catalogue(found)
+
+
+@datasets_app.command("fetch")
+def datasets_fetch(name: str) -> None:
+    """Download a data set from its original source, and check every file."""
+    from kedge.apps.console import progress
+    from kedge.apps.datasets import dataset, fetch
+
+    with progress() as say:
+        say(f"{name}: {dataset(name).url}")
+        folder = fetch(name)
+    print(folder)
+
+
+@datasets_app.command("path")
+def datasets_path(name: str) -> None:
+    """Print where a data set is."""
+    from kedge.apps.datasets import require_located
+
+    print(require_located(name))
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of a rig file."""
+    from kedge.files.config import rig_schema
+
+    print_json(rig_schema())
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        print(__version__)
+        raise typer.Exit
+
+
+def _finish(
+    summary: dict[str, Any], out: Path, conditions: list[str] | None, as_json: bool
+) -> None:
+    if as_json:
+        print_json(summary)
+    else:
+        print_filters(summary["filters"])
+        print(f"\nreport: {out / 'report.html'}")
+    require(summary["filters"], conditions or [])
+
+
+def main() -> None:
+    """Run one command; what goes wrong becomes one message and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except click.exceptions.Abort:
+        code = 130
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        code = 130
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except ThresholdMissed as error:
+        print(f"kedge: {error}", file=sys.stderr)
+        code = 3
+    except KedgeError as error:
+        print(f"kedge: {error}", file=sys.stderr)
+        code = 2
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""What commands say: data on standard output, progress and errors on standard error."""
+
+import contextlib
+import json
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from kedge.core.errors import ConfigError, KedgeError
+
+
+class ThresholdMissed(KedgeError):
+    """A threshold that the user asked for was missed: exit code 3."""
+
+
+@contextlib.contextmanager
+def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """Give a function that says what is being done; a spinner on a terminal, else lines."""
+    if quiet:
+        yield lambda text: None
+    elif sys.stderr.isatty():
+        from rich.console import Console
+
+        with Console(stderr=True).status("starting") as status:
+            yield status.update
+    else:
+        begin = time.perf_counter()
+
+        def line(text: str) -> None:
+            print(f"[{time.perf_counter() - begin:5.1f} s] {text}", file=sys.stderr, flush=True)
+
+        yield line
+
+
+def print_json(value: Any) -> None:
+    """Machine-readable output."""
+    from kedge.files.results import plain
+
+    print(json.dumps(plain(value), indent=2, allow_nan=False))
+
+
+def print_filters(filters: Mapping[str, Mapping[str, Any]]) -> None:
+    """The table of filters, digits only as far as they say something."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    columns = _columns(filters)
+    table.add_column("filter")
+    for title in columns:
+        table.add_column(title, justify="right")
+    for name, scores in filters.items():
+        table.add_row(name, *(show(scores) for show in columns.values()))
+    # A pipe has no width; a table squeezed into 80 columns would lose its numbers.
+    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
+
+
+def _columns(filters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[Any], str]]:
+    def pick(*path: str, form: str = ".3g", scale: float = 1.0) -> Callable[[Any], str]:
+        def show(scores: Any) -> str:
+            for key in path:
+                scores = scores.get(key, {}) if isinstance(scores, Mapping) else {}
+            return format(scores * scale, form) if isinstance(scores, (int, float)) else "-"
+
+        return show
+
+    def interval(scores: Any) -> str:
+        ends = scores.get("rmse_ci", {}).get("position")
+        return f"[{ends[0]:.2g}, {ends[1]:.2g}]" if ends else "-"
+
+    known = {
+        "position m": pick("rmse", "position"),
+        "95 % interval": interval,
+        "heading deg": pick("rmse", "heading", scale=57.29577951308232),
+        "velocity m/s": pick("rmse", "velocity"),
+        "x baseline": pick("ratio_to_baseline"),
+        "NEES/dof": _nees,
+        "in 95 % bound": pick("coverage_95", "position", form=".0%"),
+        "final error": _final,
+        "us/event": pick("microseconds_per_event", form=".1f"),
+    }
+    rows = list(filters.values())
+    return {t: show for t, show in known.items() if any(show(row) != "-" for row in rows)}
+
+
+def _nees(scores: Mapping[str, Any]) -> str:
+    dof = scores.get("nees_dof")
+    return f"{scores['nees'] / dof:.3g}" if dof else "-"
+
+
+def _final(scores: Mapping[str, Any]) -> str:
+    driven = scores.get("distance")
+    return f"{scores['final_error'] / driven:.1%} of path" if driven else "-"
+
+
+REQUIREMENT = re.compile(r"^([\w.+:=-]+?)\s*(<=|>=)\s*([-+.\deE]+)$")
+
+
+def require(filters: Mapping[str, Any], conditions: list[str]) -> None:
+    """Check conditions such as ``extended.rmse.position<=0.25``.
+
+    Raises:
+        ConfigError: a condition cannot be understood, or names no score.
+        ThresholdMissed: one does not hold.
+    """
+    from kedge.files.results import flatten
+
+    scores = dict(flatten(filters))
+    for condition in conditions:
+        parts = REQUIREMENT.match(condition)
+        if parts is None:
+            raise ConfigError(
+                f"--require {condition!r}: expected SCORE<=NUMBER or SCORE>=NUMBER, "
+                "e.g. extended.rmse.position<=0.25"
+            )
+        name, relation, text = parts.groups()
+        if name not in scores:
+            raise ConfigError(
+                f"--require {condition!r}: no score {name!r}; "
+                f"there are {', '.join(k for k, v in scores.items() if isinstance(v, float))}"
+            )
+        bound, value = float(text), float(scores[name])
+        if not (value <= bound if relation == "<=" else value >= bound):
+            raise ThresholdMissed(f"{name} is {value:.6g}, required {relation} {bound:g}")

@@ -1,0 +1,212 @@
+"""The work behind ``estimate``, ``compare`` and ``demo``: filters over one recorded log."""
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.random as jr
+import numpy as np
+from platformdirs import user_cache_path
+
+from kedge import __version__
+from kedge.apps.console import progress
+from kedge.core.errors import ConfigError
+from kedge.estimation.batch import Estimates, compile_estimate
+from kedge.estimation.smoother import rauch_tung_striebel
+from kedge.evaluation.report import ReportContent, write_report
+from kedge.evaluation.score import Run, score
+from kedge.files.atomic import fresh_folder
+from kedge.files.config import build_filter
+from kedge.files.problem import Problem, load_problem
+from kedge.files.results import as_toml, digest, plain
+from kedge.apps.output import write_results
+
+SMOOTHER = "+smoother"
+BASELINE = "dead-reckoning"
+
+
+def load(
+    rig: str, log: str, truth: str, until: float | None, changes: Sequence[str] | None
+) -> Problem:
+    """Read a rig and a log.
+
+    Raises:
+        KedgeError: either cannot be used; one message says where and why.
+    """
+    overrides = dict(_setting(text) for text in changes or [])
+    with progress() as say:
+        say(f"reading {log}")
+        return load_problem(rig, log, truth=truth, until=until, overrides=overrides)
+
+
+def execute(
+    problem: Problem, names: Sequence[str], out: Path, command: str, seed: int
+) -> dict[str, Any]:
+    """Run the filters, write the folder of results with its report, return the summary.
+
+    Raises:
+        KedgeError: a filter cannot run, or the folder cannot be written; nothing is left.
+    """
+    use_compilation_cache()
+    with fresh_folder(out, "summary.json") as folder, progress() as say:
+        runs = run_filters(problem, names, seed, say)
+        facts = {
+            "command": command,
+            "arguments": sys.argv[1:],
+            "version": __version__,
+            "seed": seed,
+            "versions": {name: version(name) for name in ("jax", "equinox", "numpy")},
+            "platform": f"Python {platform.python_version()}, {platform.machine()}",
+        }
+        summary = summarise(problem, runs, facts)
+        say("writing results")
+        write_results(folder, problem, runs, summary)
+        say("drawing the report")
+        write_report(folder, content_of(problem, runs, summary))
+    return plain(summary)
+
+
+def split_names(names: str) -> list[str]:
+    """Filter names with commas between them; a comma inside parameters belongs to the name.
+
+    ``a:x=1,y=2,b`` is two names: what contains ``=`` but no ``:`` goes on with the one before.
+    """
+    found: list[str] = []
+    for part in names.split(","):
+        if found and "=" in part and ":" not in part:
+            found[-1] += f",{part}"
+        else:
+            found.append(part.strip())
+    return found
+
+
+def use_compilation_cache() -> None:
+    """Keep compiled programs between commands, unless the user has said where himself."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        folder = user_cache_path("kedge") / "compiled"
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def run_filters(
+    problem: Problem, names: Sequence[str], seed: int, say: Callable[[str], None]
+) -> list[Run]:
+    """Run every filter named over the log; ``NAME+smoother`` is the smoothed pass of NAME.
+
+    Raises:
+        ConfigError: a name stands twice, or is no filter.
+        ContractError: a filter cannot run on the rig.
+    """
+    if len(set(names)) < len(names):
+        raise ConfigError(f"filters: {','.join(names)}: found a name twice, expected each once")
+    filters = {name: build_filter(name.removesuffix(SMOOTHER)) for name in names}
+    done: dict[str, tuple[Estimates, Any, float]] = {}
+    runs = []
+    for name, chosen in filters.items():
+        base = name.removesuffix(SMOOTHER)
+        keep = f"{base}{SMOOTHER}" in filters
+        if base not in done:
+            say(f"{base}: compiling")
+            call = compile_estimate(
+                chosen, problem.rig, problem.recording.log, keep, jr.key(seed)
+            )
+            say(f"{base}: {len(problem.recording.stamps)} events")
+            (found, history), seconds = _timed(call)
+            done[base] = found, history, seconds
+        estimates, history, seconds = done[base]
+        if name.endswith(SMOOTHER):
+            say(f"{name}: backwards")
+            moments, more = _timed(lambda: rauch_tung_striebel(estimates.moments, history))
+            estimates, seconds = estimates._replace(moments=moments), seconds + more
+        say(f"{name}: scores")
+        run = score(name, estimates, problem.recording, problem.rig, problem.truth)
+        events = len(problem.recording.stamps)
+        run.scores.update(seconds=seconds, microseconds_per_event=seconds / events * 1e6)
+        runs.append(run)
+    _against_baseline(runs)
+    return runs
+
+
+def summarise(problem: Problem, runs: Sequence[Run], facts: dict[str, Any]) -> dict[str, Any]:
+    """What goes into ``summary.json``; the digest pins inputs, configuration and result."""
+    result = {run.name: _result_digest(run) for run in runs}
+    parts = {
+        "inputs": problem.inputs_digest,
+        "configuration": digest(problem.config),
+        "result": digest(result),
+    }
+    return {
+        **facts,
+        "title": problem.title,
+        "runs": 1,
+        "filters": {run.name: run.scores | {"digest": result[run.name]} for run in runs},
+        "verdicts": {run.name: _verdicts(run) for run in runs},
+        "events": len(problem.recording.stamps),
+        "duration": float(problem.recording.log.schedule.time[-1]),
+        "notes": list(problem.notes),
+        "configuration": problem.config,
+        "digest": {**parts, "all": digest(parts)},
+    }
+
+
+def content_of(
+    problem: Problem, runs: Sequence[Run], summary: dict[str, Any]
+) -> ReportContent:
+    """What the report is drawn from."""
+    facts = {
+        "command": "kedge " + " ".join(summary["arguments"]),
+        "kedge": summary["version"],
+        **summary["versions"],
+        "platform": summary["platform"],
+        "seed": str(summary["seed"]),
+        **{f"digest of {part}": value for part, value in summary["digest"].items()},
+    }
+    return ReportContent(
+        title=problem.title,
+        runs=list(runs),
+        recording=problem.recording,
+        rig=problem.rig,
+        truth=problem.truth,
+        target_names=problem.target_names,
+        configuration=as_toml(problem.config),
+        facts=facts,
+        notes=list(problem.notes),
+    )
+
+
+def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
+    before = time.perf_counter()
+    found = jax.block_until_ready(call())
+    return found, time.perf_counter() - before
+
+
+def _against_baseline(runs: Sequence[Run]) -> None:
+    """Position RMSE as a ratio to dead reckoning, if that is among the runs."""
+    base = next((run for run in runs if run.name == BASELINE and run.errors), None)
+    if base is None or "position" not in base.scores["rmse"]:
+        return
+    for run in runs:
+        ratio = run.scores["rmse"]["position"] / base.scores["rmse"]["position"]
+        run.scores["ratio_to_baseline"] = ratio
+
+
+def _verdicts(run: Run) -> dict[str, dict[str, int]]:
+    return {name: entry["verdicts"] for name, entry in run.scores["sensors"].items()}
+
+
+def _result_digest(run: Run) -> str:
+    leaves = jax.tree.leaves((run.track.mean, run.track.cov, run.estimates.outcome.verdict))
+    return digest(*(np.asarray(leaf) for leaf in leaves))
+
+
+def _setting(text: str) -> tuple[str, str]:
+    key, separator, value = text.partition("=")
+    if not separator or not key:
+        raise ConfigError(f"--set {text!r}: expected KEY=VALUE, e.g. output.rate=5")
+    return key.strip(), value.strip()

@@ -1,0 +1,211 @@
+"""What the commands promise to scripts."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def done(site, kedge):
+    """A finished estimate, with what it printed."""
+    code, out, err = kedge(
+        "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--smooth", "--json"
+    )
+    assert code == 0, err
+    return site / "out", json.loads(out)
+
+
+def test_estimate_leaves_what_it_promises(done):
+    folder, printed = done
+    names = {p.name for p in folder.iterdir()}
+    assert {"summary.json", "table.csv", "report.html", "figures"} <= names
+    assert {"estimate_extended.csv", "estimate_extended.tum"} <= names
+    assert {"verdicts_extended_camera.csv", "estimate_extended+smoother.csv"} <= names
+    assert {p.suffix for p in (folder / "figures").iterdir()} == {".png", ".svg"}
+
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary == printed
+    scores = summary["filters"]["extended"]
+    assert {"command", "version", "seed", "runs", "filters", "verdicts", "digest"} <= set(summary)
+    assert {"position", "position_x", "position_y", "heading"} <= set(scores["rmse"])
+    assert 0 < scores["rmse"]["position"] < 0.3
+    low, high = scores["rmse_ci"]["position"]
+    assert low <= scores["rmse"]["position"] <= high
+    counts = summary["verdicts"]["extended"]["camera"]
+    with (folder / "verdicts_extended_camera.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sum(counts.values()) == len(rows) == 40
+    assert sum(row["verdict"] == "FUSED" for row in rows) == counts["FUSED"]
+    assert (
+        summary["filters"]["extended+smoother"]["rmse"]["position"]
+        < scores["rmse"]["position"]
+    )
+
+
+def test_estimate_csv_holds_the_outputs_with_exact_stamps(done):
+    folder, _ = done
+    with (folder / "estimate_extended.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 100
+    assert [int(row["stamp_ns"]) for row in rows[:3]] == [200_000_000, 400_000_000, 600_000_000]
+    assert set(rows[0]) == {
+        "stamp_ns", "position_x", "position_y", "heading",
+        "position_x_std", "position_y_std", "heading_std",
+    }  # fmt: skip
+    tum = (folder / "estimate_extended.tum").read_text().splitlines()
+    assert len([text for text in tum if not text.startswith("#")]) == 100
+
+
+def test_the_same_log_gives_the_same_bytes(site, kedge):
+    for name in ("one", "two"):
+        code, _, err = kedge(
+            "estimate", site / "rig.toml", site / "log", "--out", site / name
+        )
+        assert code == 0, err
+    for file in ("estimate.csv", "estimate.tum", "verdicts_camera.csv"):
+        assert (site / "one" / file).read_bytes() == (site / "two" / file).read_bytes()
+    digests = [
+        json.loads((site / name / "summary.json").read_text())["digest"] for name in ("one", "two")
+    ]
+    assert digests[0] == digests[1]
+
+
+def test_digest_follows_input_configuration_and_result(site, kedge):
+    def digest(*more):
+        code, out, err = kedge(
+            "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--json", *more
+        )
+        assert code == 0, err
+        return json.loads(out)["digest"]
+
+    base = digest()
+    changed = digest("--set", "sensors.camera.parameters.range_std=0.2")
+    assert changed["inputs"] == base["inputs"]
+    assert changed["configuration"] != base["configuration"]
+    assert changed["result"] != base["result"]
+    camera = site / "log" / "camera.csv"
+    camera.write_text(camera.read_text() + "19.95,a,5.0,0.5\n")
+    assert digest()["inputs"] != base["inputs"]
+
+
+def test_a_target_that_is_not_on_the_map_is_a_verdict(site, kedge):
+    camera = site / "log" / "camera.csv"
+    camera.write_text(camera.read_text() + "19.95,pillar,5.0,0.5\n19.96,a,,\n19.97,a,,0.5\n")
+    code, out, err = kedge(
+        "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--json"
+    )
+    assert code == 0, err
+    counts = json.loads(out)["verdicts"]["extended"]["camera"]
+    assert counts["UNKNOWN_TARGET"] == 1
+    assert counts["NOT_FINITE"] == 1
+
+
+def test_compare_puts_filters_side_by_side(site, kedge):
+    names = "dead-reckoning,extended,unscented,ensemble:count=60,extended+smoother"
+    code, out, err = kedge(
+        "compare", site / "rig.toml", site / "log", "--filters", names, "--out", site / "out"
+    )
+    assert code == 0, err
+    summary = json.loads((site / "out" / "summary.json").read_text())
+    assert list(summary["filters"]) == names.split(",")
+    assert summary["filters"]["dead-reckoning"]["ratio_to_baseline"] == 1
+    assert summary["filters"]["extended"]["ratio_to_baseline"] < 1
+    assert summary["verdicts"]["dead-reckoning"]["camera"] == {"DROPPED": 40}
+    assert "ensemble:count=60" in out
+    with (site / "out" / "table.csv").open() as file:
+        assert [row["filter"] for row in csv.DictReader(file)] == names.split(",")
+
+
+def test_truth_none_scores_nothing(site, kedge):
+    code, out, err = kedge(
+        "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--json",
+        "--truth", "none",
+    )  # fmt: skip
+    assert code == 0, err
+    scores = json.loads(out)["filters"]["extended"]
+    assert "rmse" not in scores
+    assert scores["sensors"]["camera"]["nis_dof"] == 2
+
+
+def test_a_threshold_that_is_missed_is_exit_3(site, kedge):
+    command = ["estimate", site / "rig.toml", site / "log", "--out", site / "out"]
+    code, _, err = kedge(*command, "--require", "extended.rmse.position<=0.0001")
+    assert code == 3
+    assert "extended.rmse.position" in err
+    assert (site / "out" / "report.html").exists()
+    code, _, _ = kedge(*command, "--require", "extended.coverage_95.position>=0.5")
+    assert code == 0
+
+
+def test_results_are_replaced_as_a_whole(done, site, kedge):
+    (site / "out" / "old.txt").write_text("from an earlier run")
+    code, _, _ = kedge("estimate", site / "rig.toml", site / "log", "--out", site / "out")
+    assert code == 0
+    assert not (site / "out" / "old.txt").exists()
+
+
+def test_list_names_every_family(kedge):
+    code, out, _ = kedge("list", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert set(found) == {"vehicles", "sensors", "filters", "rigs", "datasets"}
+    assert found["vehicles"]["unicycle"]["state"] == {
+        "position_x": "m", "position_y": "m", "heading": "rad",
+    }  # fmt: skip
+    assert "mrclam" in found["rigs"]
+    code, out, _ = kedge("list", "filters")
+    assert code == 0
+    assert "extended" in out
+    code, _, err = kedge("list", "filter")
+    assert code == 2
+    assert "filters" in err
+
+
+def test_config_schema_is_a_schema(kedge):
+    import jsonschema
+
+    code, out, _ = kedge("config", "schema")
+    assert code == 0
+    jsonschema.Draft202012Validator.check_schema(json.loads(out))
+
+
+def test_datasets_say_where_they_are(kedge, monkeypatch, tmp_path):
+    monkeypatch.setenv("KEDGE_DATA", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    code, _, err = kedge("datasets", "path", "mrclam")
+    assert code == 2
+    assert "kedge datasets fetch mrclam" in err
+    place = tmp_path / "mrclam" / "MRCLAM_Dataset7"
+    place.mkdir(parents=True)
+    code, out, _ = kedge("datasets", "path", "mrclam")
+    assert code == 0
+    assert out.strip() == str(place)
+    code, _, err = kedge("datasets", "path", "mrclan")
+    assert code == 2
+    assert "mrclam" in err
+
+
+def test_the_copy_at_hand_is_the_one_that_is_known(data):
+    from kedge.apps.datasets import locate, verify
+
+    folder = locate("mrclam")
+    assert folder is not None
+    verify("mrclam", folder)
+
+
+def test_help_imports_nothing_heavy():
+    """What keeps ``--help`` quick; `make bench` measures how quick it is."""
+    program = (
+        "import sys; sys.argv = ['kedge', '--help']\n"
+        "from kedge.apps.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert end.code == 0\n"
+        "heavy = {'jax', 'numpy', 'scipy', 'pandas', 'matplotlib', 'pydantic', 'equinox'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert b"estimate" in found.stdout
+    assert found.stdout.decode().splitlines()[-1] == "[]"
