@@ -1,0 +1,56 @@
+"""Settings and fixtures of every test: 64-bit floats, no silent broadcasting, fixed seeds."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+from hypothesis import HealthCheck, settings
+
+# In the environment, so that the programs that tests start have them too.
+os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / "build" / "jax-cache")
+)
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+settings.register_profile(
+    "kedge",
+    derandomize=True,
+    deadline=None,
+    max_examples=20,
+    # The `key` fixture is the same in every example, and compiling is slow once.
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+settings.load_profile("kedge")
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]):
+    for item in items:
+        if isinstance(item, pytest.Function):
+            parameters = item.callspec.params if hasattr(item, "callspec") else {}
+            if "data" in item.fixturenames and "data" not in parameters:
+                item.add_marker("data")
+        if item.get_closest_marker("gpu") and jax.default_backend() != "gpu":
+            item.add_marker(pytest.mark.skip(reason="JAX finds no GPU"))
+
+
+@pytest.fixture
+def key():
+    return jax.random.key(0)
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of recorded data sets; a test that asks for it is marked `data`."""
+    folder = os.environ.get("KEDGE_DATA")
+    if not folder:
+        pytest.skip("KEDGE_DATA is not set: no recorded data sets")
+    if not Path(folder).is_dir():
+        pytest.skip(f"KEDGE_DATA is {folder}, which is no folder")
+    return Path(folder)
