@@ -29,7 +29,9 @@ def test_estimate_leaves_what_it_promises(done):
     summary = json.loads((folder / "summary.json").read_text())
     assert summary == printed
     scores = summary["filters"]["extended"]
-    assert {"command", "version", "seed", "runs", "filters", "verdicts", "digest"} <= set(summary)
+    assert {"command", "version", "seed", "runs", "filters", "verdicts", "digest"} <= set(
+        summary
+    )
     assert {"position", "position_x", "position_y", "heading"} <= set(scores["rmse"])
     assert 0 < scores["rmse"]["position"] < 0.3
     low, high = scores["rmse_ci"]["position"]
@@ -40,8 +42,7 @@ def test_estimate_leaves_what_it_promises(done):
     assert sum(counts.values()) == len(rows) == 40
     assert sum(row["verdict"] == "FUSED" for row in rows) == counts["FUSED"]
     assert (
-        summary["filters"]["extended+smoother"]["rmse"]["position"]
-        < scores["rmse"]["position"]
+        summary["filters"]["extended+smoother"]["rmse"]["position"] < scores["rmse"]["position"]
     )
 
 
@@ -61,14 +62,13 @@ def test_estimate_csv_holds_the_outputs_with_exact_stamps(done):
 
 def test_the_same_log_gives_the_same_bytes(site, kedge):
     for name in ("one", "two"):
-        code, _, err = kedge(
-            "estimate", site / "rig.toml", site / "log", "--out", site / name
-        )
+        code, _, err = kedge("estimate", site / "rig.toml", site / "log", "--out", site / name)
         assert code == 0, err
     for file in ("estimate.csv", "estimate.tum", "verdicts_camera.csv"):
         assert (site / "one" / file).read_bytes() == (site / "two" / file).read_bytes()
     digests = [
-        json.loads((site / name / "summary.json").read_text())["digest"] for name in ("one", "two")
+        json.loads((site / name / "summary.json").read_text())["digest"]
+        for name in ("one", "two")
     ]
     assert digests[0] == digests[1]
 

@@ -28,9 +28,7 @@ def write_results(
         write_estimate(folder / f"estimate{suffix}.csv", track.stamps, moments)
         if hasattr(track.mean, "position"):
             turn = getattr(track.mean, "heading", getattr(track.mean, "attitude", None))
-            write_tum(
-                folder / f"estimate{suffix}.tum", track.stamps, track.mean.position, turn
-            )
+            write_tum(folder / f"estimate{suffix}.tum", track.stamps, track.mean.position, turn)
         if not run.name.endswith("+smoother"):
             _write_sensor_verdicts(folder, suffix, problem, run)
 

@@ -18,7 +18,7 @@ from kedge import __version__
 from kedge.apps.console import progress
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
-from kedge.estimation.smoother import rauch_tung_striebel
+from kedge.estimation.smoother import compile_smoother
 from kedge.evaluation.report import ReportContent, write_report
 from kedge.evaluation.score import Run, score
 from kedge.files.atomic import fresh_folder
@@ -122,7 +122,7 @@ def run_filters(
         estimates, history, seconds = done[base]
         if name.endswith(SMOOTHER):
             say(f"{name}: backwards")
-            moments, more = _timed(lambda: rauch_tung_striebel(estimates.moments, history))
+            moments, more = _timed(compile_smoother(estimates.moments, history))
             estimates, seconds = estimates._replace(moments=moments), seconds + more
         say(f"{name}: scores")
         run = score(name, estimates, problem.recording, problem.rig, problem.truth)
@@ -155,9 +155,7 @@ def summarise(problem: Problem, runs: Sequence[Run], facts: dict[str, Any]) -> d
     }
 
 
-def content_of(
-    problem: Problem, runs: Sequence[Run], summary: dict[str, Any]
-) -> ReportContent:
+def content_of(problem: Problem, runs: Sequence[Run], summary: dict[str, Any]) -> ReportContent:
     """What the report is drawn from."""
     facts = {
         "command": "kedge " + " ".join(summary["arguments"]),

@@ -50,7 +50,9 @@ def rotate(q: Float[Array, "4"], vector: Float[Array, "3"]) -> Float[Array, "3"]
 
 def wrap(angle: Scalar) -> Float[Array, ""]:
     """Wrap an angle in rad to [-pi, pi)."""
-    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+    wrapped = jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
+    # Just below -pi the remainder rounds up to a whole turn.
+    return jnp.where(wrapped < jnp.pi, wrapped, wrapped - 2 * jnp.pi)
 
 
 def direction(heading: Scalar) -> Float[Array, "2"]:

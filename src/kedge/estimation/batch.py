@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter
 from kedge.core.errors import ContractError
+from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.step import Outcome, advance, condition, event_keys
@@ -95,8 +96,6 @@ def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
 def scan(
     filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
 ) -> tuple[Estimates, Any]:
-    index = jnp.arange(log.schedule.time.shape[0])
-
     def predict(belief, control, dt, key):
         if not (keep and isinstance(filter, AbstractGaussianFilter)):
             return advance(filter, rig.vehicle, belief, control, dt, key), None
@@ -107,17 +106,29 @@ def scan(
         )
         return belief, History(belief, cross)
 
-    def body(carry: tuple[Any, Any], event: Any) -> tuple[Any, Any]:
-        belief, last = carry
-        i, (time, sensor, row), control = event
-        predict_key, update_key = event_keys(key, i + 1)
+    def body(carry: tuple[Any, Any, Any], event: Any) -> tuple[Any, Any]:
+        belief, last, count = carry
+        (time, sensor, row), control = event
+        # Older than the belief: nothing happens, and the event does not count (as online).
+        late = time < last
+        count = count + jnp.where(late, 0, 1)
+        predict_key, update_key = event_keys(key, count)
         belief, history = predict(belief, control, time - last, predict_key)
         belief, outcome = condition(
-            filter, rig.sensors, belief, log.readings, sensor, row, update_key
+            filter,
+            rig.sensors,
+            belief,
+            log.readings,
+            jnp.where(late, -1, sensor),
+            row,
+            update_key,
         )
-        return (belief, time), (belief.moments(), outcome, history)
+        verdict = jnp.where(late & (sensor >= 0), Verdict.LATE, outcome.verdict)
+        outcome = outcome._replace(verdict=verdict)
+        return (belief, jnp.maximum(time, last), count), (belief.moments(), outcome, history)
 
     belief = filter.init(rig.prior, event_keys(key, 0)[0])
-    events = index, log.schedule, log.controls
-    _, (moments, outcome, history) = lax.scan(body, (belief, jnp.zeros(())), events)
+    start = belief, jnp.zeros(()), jnp.zeros((), int)
+    events = log.schedule, log.controls
+    _, (moments, outcome, history) = lax.scan(body, start, events)
     return Estimates(log.schedule.time, moments, outcome), history

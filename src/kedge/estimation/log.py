@@ -88,7 +88,8 @@ def assemble(
 ) -> Recording:
     """Merge controls, readings and output times into one log.
 
-    Controls are held from their stamp on; the first also before it. Events at one time stand
+    Events from ``start`` to ``end``, both included. Controls are held from their stamp on; the
+    first also before it. Events at one time stand
     in the order control, sensors as installed, output.
 
     Raises:
@@ -96,7 +97,7 @@ def assemble(
     """
     if end <= start:
         raise DataError(f"empty log: it ends at {end} ns and starts at {start} ns")
-    count = int((end - start) / SECOND * output_rate)
+    count = int((end - start) * output_rate / SECOND)
     grid = start + np.round(np.arange(1, count + 1) * (SECOND / output_rate)).astype(np.int64)
     inside = (control_stamps > start) & (control_stamps <= end)
     tables = [(control_stamps[inside], -1)]
@@ -108,7 +109,7 @@ def assemble(
     rank = np.concatenate([np.full(len(s), place) for place, (s, _) in enumerate(tables)])
     row = np.concatenate([np.arange(len(s)) for s, _ in tables])
     order = np.lexsort((row, rank, stamps))
-    order = order[(stamps[order] > start) & (stamps[order] <= end)]
+    order = order[(stamps[order] >= start) & (stamps[order] <= end)]
     if len(order) == 0:
         raise DataError("empty log: no control, reading or output time lies inside it")
     stamps, sensor, row = stamps[order], sensor[order], row[order]

@@ -31,7 +31,7 @@ class Answer(NamedTuple):
 class Estimator:
     """Feed events as they come; read the belief at any moment.
 
-    A control holds from its time on. An event older than the belief changes nothing and gets
+    A control holds from its time on; until the first, ``control`` or nothing does. An event older than the belief changes nothing and gets
     the verdict LATE; a belief never goes back in time.
     """
 
@@ -41,11 +41,12 @@ class Estimator:
         rig: Rig,
         key: PRNGKeyArray | None = None,
         start: float = 0.0,
+        control: Any = None,
     ):
         self._key = jax.random.key(0) if key is None else key
         self._filter, self._rig = as_arrays((filter, rig))
-        self._control = as_arrays(rig.vehicle.drive(0.0))
-        self._control = jax.tree.map(jnp.zeros_like, self._control)
+        still = jax.tree.map(jnp.zeros_like, as_arrays(rig.vehicle.drive(0.0)))
+        self._control = still if control is None else as_arrays(control)
         self._events = 0
         self.belief = _init(self._filter, self._rig.prior, _keys(self._key, 0)[0])
         self.time = float(start)

@@ -9,7 +9,7 @@ from kedge.core.contracts import AbstractMeasurementModel
 from kedge.core.manifolds import space, space_of
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
-from kedge.numerics.linalg import cholesky
+from kedge.numerics.linalg import cholesky, symmetric
 
 
 class Sighting(AbstractMeasurementModel):
@@ -42,7 +42,10 @@ class Sighting(AbstractMeasurementModel):
 
     def noise_cov(self, state: Any) -> Float[Array, "m m"]:
         """The reading's own covariance or the sensor's, without what is missing."""
-        cov = self.installation.noise_cov(state, self.target) if self.cov is None else self.cov
+        if self.cov is None:
+            cov = self.installation.noise_cov(state, self.target)
+        else:
+            cov = symmetric(self.cov)
         both = self.present[:, None] & self.present[None, :]
         return jnp.where(both, cov, jnp.eye(cov.shape[0]))
 

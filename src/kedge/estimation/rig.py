@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
@@ -36,6 +36,8 @@ class Installation(eqx.Module):
     gate: float | None = eqx.field(static=True, default=None)
     """False-alarm probability of the sensor's gate; no gate if not given."""
     mount: Mount | None = None
+    student_dof: Scalar | None = None
+    """Degrees of freedom of the sensor's noise as a Student-t; Gaussian if not given."""
 
     def __check_init__(self):
         if not math.isfinite(self.latency):
@@ -54,6 +56,11 @@ class Installation(eqx.Module):
         """How many targets are on the sensor's map; None if it has no map."""
         leaves = jax.tree.leaves(getattr(self.sensor, "target", None))
         return leaves[0].shape[0] if leaves else None
+
+    def knows(self, target: Int[Array, ""]) -> Bool[Array, ""]:
+        """Whether an index is on the sensor's map; without a map, whether it is not negative."""
+        known = target >= 0
+        return known if self.targets is None else known & (target < self.targets)
 
     def _moved(self, state: Any) -> Any:
         """The state as if the vehicle stood where the sensor sits."""

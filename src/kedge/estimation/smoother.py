@@ -1,5 +1,7 @@
 """Fixed-interval smoothing: every estimate in the light of all readings of the log."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,6 +29,12 @@ def smooth(
     return filtered, filtered._replace(moments=rauch_tung_striebel(filtered.moments, history))
 
 
+def compile_smoother(filtered: Gaussian, history: History) -> Callable[[], Gaussian]:
+    """Compile the backward pass without running it."""
+    compiled = rauch_tung_striebel.lower(filtered, history).compile()
+    return lambda: compiled(filtered, history)
+
+
 @eqx.filter_jit
 def rauch_tung_striebel(filtered: Gaussian, history: History) -> Gaussian:
     r"""Correct each filtered Gaussian by the smoothed one after it.
@@ -42,7 +50,7 @@ def rauch_tung_striebel(filtered: Gaussian, history: History) -> Gaussian:
     def body(later: Gaussian, event: tuple[Gaussian, History]):
         present, (predicted, cross) = event
         # Jitter relative to each variance: a state known exactly has a singular one.
-        scale = jnp.diag(1e-14 * jnp.diag(predicted.cov) + 1e-300)
+        scale = jnp.diag(1e-12 * jnp.diag(predicted.cov) + 1e-300)
         G = gain(cross, cholesky(predicted.cov + scale))
         mean = states.boxplus(present.mean, G @ states.boxminus(later.mean, predicted.mean))
         cov = symmetric(present.cov + G @ (later.cov - predicted.cov) @ G.T)

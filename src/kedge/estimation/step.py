@@ -17,6 +17,7 @@ from kedge.estimation.log import Readings
 from kedge.estimation.reading import is_positive_definite, sight
 from kedge.estimation.rig import Installation
 from kedge.filters.gated import Gated
+from kedge.filters.robust import Robust
 from kedge.numerics.linalg import cholesky, solve_lower
 
 B = TypeVar("B")
@@ -69,6 +70,9 @@ def condition(
         return belief, silence(width)
 
     def branch(installation, rows):
+        if len(rows.target) == 0:  # it never fires, and there is no row to look at
+            return no_reading
+
         def use():
             reading = jax.tree.map(lambda leaf: leaf[row], rows)
             return take_in(filter, installation, belief, reading, key, width)
@@ -88,9 +92,13 @@ def take_in(
     width: int,
 ) -> tuple[B, Outcome]:
     """Use one reading if it is fit to be used, and say what became of it."""
-    gated = filter if installation.gate is None else Gated(filter, installation.gate)
+    chosen: AbstractFilter = filter
+    if installation.student_dof is not None:
+        chosen = Robust(chosen, installation.student_dof)
+    if installation.gate is not None:
+        chosen = Gated(chosen, installation.gate)
     model, measurement = sight(installation, reading)
-    posterior, score = gated.update(model, belief, measurement, key)
+    posterior, score = chosen.update(model, belief, measurement, key)
 
     verdict = jnp.asarray(Verdict.FUSED)
 
@@ -101,12 +109,12 @@ def take_in(
     # In rising order of importance: the last reason that applies is the verdict.
     unless(jnp.asarray(score.accepted), Verdict.DROPPED)
     unless(score.nis <= score.threshold, Verdict.GATED)
-    unless(_finite(posterior), Verdict.NOT_FINITE)
+    unless(_finite(posterior) & ~jnp.isnan(score.nis), Verdict.NOT_FINITE)
     if reading.cov is not None:
-        unless(is_positive_definite(reading.cov), Verdict.BAD_COVARIANCE)
+        unless(is_positive_definite(model.noise_cov(None)), Verdict.BAD_COVARIANCE)
     infinite = [jnp.isinf(leaf).any() for leaf in jax.tree.leaves(reading.measurement)]
     unless(model.present.any() & ~jnp.stack(infinite).any(), Verdict.NOT_FINITE)
-    unless(reading.target >= 0, Verdict.UNKNOWN_TARGET)
+    unless(installation.knows(reading.target), Verdict.UNKNOWN_TARGET)
 
     fused = verdict == Verdict.FUSED
     kept = jax.tree.map(lambda new, old: jnp.where(fused, new, old), posterior, belief)

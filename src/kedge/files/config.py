@@ -82,6 +82,7 @@ class SensorConfig(Strict):
     latency: Finite = 0.0
     rate: Positive | None = None
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
+    student_dof: Positive | None = None
     mount: MountConfig | None = None
     std: dict[str, str] = {}
     covariance: list[str] | None = None

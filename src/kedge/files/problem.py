@@ -169,7 +169,9 @@ def _vehicle(config: RigConfig) -> tuple[AbstractVehicle, AbstractVehicle]:
 def _installation(config: RigConfig, name: str, sensor: AbstractSensor) -> Installation:
     spec = config.sensors[name]
     mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
-    return Installation(name, sensor, spec.rate, spec.latency, spec.gate, mount)
+    return Installation(
+        name, sensor, spec.rate, spec.latency, spec.gate, mount, spec.student_dof
+    )
 
 
 def _reference(raw: RawLog, truth: str) -> Table | None:

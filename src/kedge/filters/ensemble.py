@@ -19,7 +19,7 @@ from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, gain, symmetric
+from kedge.numerics.linalg import cholesky, gain, square_root, symmetric
 from kedge.numerics.noise import process_std
 
 
@@ -44,7 +44,7 @@ class EnsembleKalman(AbstractFilter[Ensemble]):
         """Draw the members from the prior."""
         states = space(prior.mean)
         white = jr.normal(key, (self.count, states.size))
-        errors = white @ cholesky(prior.cov).T
+        errors = white @ square_root(prior.cov).T
         return Ensemble(jax.vmap(states.boxplus, (None, 0))(prior.mean, errors))
 
     def predict(
@@ -85,6 +85,6 @@ class EnsembleKalman(AbstractFilter[Ensemble]):
         root = cholesky(S)
         K = gain(errors.T @ spread / (self.count - 1), root)
 
-        noise = jr.normal(key, residuals.shape) @ cholesky(noise_cov).T
+        noise = jr.normal(key, residuals.shape) @ square_root(noise_cov).T
         moved = jax.vmap(states.boxplus)(belief.members, (residuals + noise) @ K.T)
         return Ensemble(moved), innovation(residual, S, root, model.dof())

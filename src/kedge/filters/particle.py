@@ -21,7 +21,7 @@ from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, symmetric
+from kedge.numerics.linalg import cholesky, square_root, symmetric
 from kedge.numerics.noise import process_std
 from kedge.numerics.resampling import effective_sample_size, systematic
 
@@ -46,7 +46,7 @@ class BootstrapParticle(AbstractFilter[Particles]):
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Particles:
         """Draw from the prior."""
         states = space(prior.mean)
-        errors = jr.normal(key, (self.count, states.size)) @ cholesky(prior.cov).T
+        errors = jr.normal(key, (self.count, states.size)) @ square_root(prior.cov).T
         cloud = jax.vmap(states.boxplus, (None, 0))(prior.mean, errors)
         return Particles(cloud, jnp.full(self.count, -jnp.log(self.count)))
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.numerics.linalg import cholesky
+from kedge.numerics.linalg import square_root
 from kedge.numerics.linearity import is_affine
 from kedge.numerics.quadrature import Rule
 
@@ -111,7 +111,7 @@ class SigmaPoints(AbstractPropagation):
         """Push the points of the joint error and noise through the function."""
         size, noises = cov.shape[0], 0 if noise_std is None else noise_std.shape[0]
         rule = self.rule(size + noises)
-        errors = jnp.asarray(rule.points[:, :size]) @ cholesky(cov).T
+        errors = jnp.asarray(rule.points[:, :size]) @ square_root(cov).T
         arguments: tuple[Array, ...] = (errors,)
         if noise_std is not None:
             arguments += (jnp.asarray(rule.points[:, size:]) * noise_std[None],)

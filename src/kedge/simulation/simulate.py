@@ -21,7 +21,7 @@ from kedge.estimation.log import (
     assemble,
 )
 from kedge.estimation.rig import Installation, as_arrays
-from kedge.numerics.linalg import cholesky
+from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
 from kedge.simulation.scenario import Scenario
 
@@ -83,7 +83,7 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     states, noises = space(prior.mean), space(vehicle.noise_density())
     start_key, drive_key, sense_key = jr.split(key, 3)
     white = jr.normal(start_key, (states.size,))
-    first = states.boxplus(prior.mean, cholesky(prior.cov) @ white)
+    first = states.boxplus(prior.mean, square_root(prior.cov) @ white)
 
     times = jnp.arange(scenario.steps) * scenario.dt
     controls = jax.vmap(vehicle.drive)(times)
@@ -113,7 +113,7 @@ def _sense(
     def one(state: Any, target: Int[Array, ""], key: PRNGKeyArray) -> Any:
         expected = installation.expect(state, target)
         outputs = space(expected)
-        root = cholesky(installation.noise_cov(state, target))
+        root = square_root(installation.noise_cov(state, target))
         return outputs.boxplus(expected, root @ jr.normal(key, (outputs.size,)))
 
     return Readings(jax.vmap(one)(seen, targets, jr.split(key, len(ticks))), targets)

@@ -1,0 +1,208 @@
+"""The report: one page that reads without a network, with its figures beside it."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kedge.estimation.log import Recording, Truth
+from kedge.estimation.rig import Rig
+from kedge.evaluation import diagnostics, figures, findings, style, tables
+from kedge.evaluation.drawing import LONG_GAP
+from kedge.evaluation.score import Run
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+class ReportContent(NamedTuple):
+    """All that a report is made of: the runs of one log, and where they come from."""
+
+    title: str
+    runs: list[Run]
+    recording: Recording
+    rig: Rig
+    truth: Truth | None
+    target_names: dict[str, tuple[str, ...]]
+    """By sensor, the ids on its map."""
+    configuration: str
+    """The resolved rig, as text."""
+    facts: dict[str, str]
+    """Versions, seed, digest, command."""
+    notes: list[str]
+    """What the reader of the files had to say."""
+
+
+class Plate(NamedTuple):
+    """A figure of the report with its caption."""
+
+    name: str
+    section: str
+    caption: str
+    figure: Any
+    folded: bool = False
+
+
+def write_report(folder: Path, content: ReportContent) -> Path:
+    """Write ``report.html`` and ``figures/*.svg`` and ``*.png``; return the page's path.
+
+    The same content gives the same bytes.
+
+    Raises:
+        KedgeError: matplotlib or jinja2 is not installed.
+        DataError: there is no run to report on.
+    """
+    jinja2, markup = style.studio("jinja2"), style.studio("markupsafe").Markup
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    drawn: dict[str, list[dict[str, Any]]] = {}
+    for plate in plates(content):
+        svg = style.svg_of(plate.figure)
+        (folder / "figures" / f"{plate.name}.svg").write_text(svg, encoding="utf-8")
+        style.save_png(plate.figure, folder / "figures" / f"{plate.name}.png")
+        picture = markup(style.inlined(svg, plate.name))
+        drawn.setdefault(plate.section, []).append({**plate._asdict(), "svg": picture})
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    runs, recording, rig = content.runs, content.recording, content.rig
+    page = environment.get_template("report.html.j2").render(
+        content=content,
+        palette=style.PALETTE,
+        headline=findings.headline(runs, recording),
+        strip=findings.facts(runs, recording),
+        warnings=findings.warnings(runs, recording, rig),
+        principal=findings.principal(runs).name,
+        figures=drawn,
+        filters=tables.filter_table(runs, recording),
+        sensors=tables.sensor_table(findings.principal(runs), rig),
+        verdicts=tables.verdict_table(runs, rig),
+        roles={name: look.role for name, look in style.looks([r.name for r in runs]).items()},
+    )
+    path = folder / "report.html"
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def plates(content: ReportContent) -> list[Plate]:
+    """The figures that this log has something to show in."""
+    run = findings.principal(content.runs)
+    found = [*_map(content)] if hasattr(run.track.mean, "position") else []
+    found += _errors(content)
+    if figures.unknown_to_truth(run):
+        what = "The state" if run.errors is None else "What truth does not know of the state"
+        found.append(
+            Plate(
+                "states",
+                "states",
+                f"{what}, as {run.name} estimates it, with ± 3 standard deviations.",
+                figures.plot_states(run, color=_color(content, run))[0].figure,
+            )
+        )
+    return found + _consistency(content, run) + _verdicts(content, run)
+
+
+def target_map(content: ReportContent) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """By sensor, the ids and positions of its targets; a map that two share is shown once."""
+    found: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+    for installation in content.rig.sensors:
+        where = getattr(getattr(installation.sensor, "target", None), "position", None)
+        if where is None:
+            continue
+        where = np.asarray(where)
+        if any(np.array_equal(where, other) for _, other in found.values()):
+            continue
+        numbers = tuple(str(i) for i in range(len(where)))
+        found[installation.name] = content.target_names.get(installation.name, numbers), where
+    return found
+
+
+def _color(content: ReportContent, run: Run) -> str:
+    return style.looks([other.name for other in content.runs])[run.name].color
+
+
+def _map(content: ReportContent) -> list[Plate]:
+    runs, truth = content.runs, content.truth
+    if len(runs) == 1:
+        axes = [figures.plot_map(runs, truth, target_map(content))]
+    else:
+        axes = figures.plot_maps(runs, truth, target_map(content))
+    caption = "The paths in plan, with 95\u00a0% ellipses of the filters at even intervals."
+    strays = [run.name for run in runs if figures.leaves(run, axes[0])]
+    if strays:
+        caption += f" Cut off at the edge of the view: {', '.join(strays)}."
+    if np.asarray(runs[0].track.mean.position).shape[1] > 2:
+        caption += " Height is not shown here."
+    return [Plate("map", "map", caption, axes[0].figure)]
+
+
+def _errors(content: ReportContent) -> list[Plate]:
+    judged = [run for run in content.runs if run.errors is not None]
+    if not judged:
+        return []
+    found, main = [], findings.principal(content.runs)
+    if len(judged) > 1:
+        caption = "Distance from truth, all runs, on a logarithmic axis."
+        found.append(Plate("distance", "errors", caption, figures.plot_distance(judged).figure))
+    shown = [run for run in judged if run is main or not style.is_baseline(run.name)]
+    for run in sorted(shown, key=lambda run: run is not main):
+        axes = figures.plot_errors(run, color=_color(content, run))
+        caption = (
+            f"Errors of {run.name} by component, in the band of ± 3 standard deviations that "
+            f"it claims. Shaded: more than {LONG_GAP:g}\u00a0s without a fused reading."
+        )
+        name = f"errors-{content.runs.index(run) + 1}"
+        found.append(Plate(name, "errors", caption, axes[0].figure, run is not main))
+    return found
+
+
+def _consistency(content: ReportContent, run: Run) -> list[Plate]:
+    found, judged = [], [other for other in content.runs if other.errors is not None]
+    if judged:
+        axes = figures.plot_nees(judged)
+        caption = (
+            "Normalised estimation error squared; an honest filter stays below the bound "
+            "95\u00a0% of the time."
+        )
+        found.append(Plate("nees", "consistency", caption, axes[0].figure))
+    parts = run, content.recording, content.rig
+    names = [installation.name for installation in content.rig.sensors]
+    sizes = {name: len(diagnostics.innovations(*parts, name).nis) for name in names}
+    shown = [name for name in names if sizes[name] > 1]
+    if not shown:
+        return found
+    rows = len(shown)
+    axes = style.subplots(rows, 1, 2.7 * rows)[:, 0]
+    for ax, name in zip(axes, shown, strict=True):
+        diagnostics.plot_nis(*parts, name, ax)
+    caption = (
+        f"Normalised innovation squared of {run.name}, reading by reading, with its one-sided "
+        "bound, and the running mean in the bounds that it keeps 95\u00a0% of the time if the "
+        "model is right."
+    )
+    heavy = [s.name for s in content.rig.sensors if s.student_dof is not None]
+    if heavy:
+        caption += f" Noise with heavy tails ({', '.join(heavy)}): chi-square is a guide only."
+    found.append(Plate("nis", "consistency", caption, axes[0].figure))
+    axes = style.subplots(rows, 2, 2.7 * rows)
+    for (left, right), name in zip(axes, shown, strict=True):
+        diagnostics.plot_nis_histogram(*parts, name, left)
+        if diagnostics.testable(diagnostics.innovations(*parts, name)):
+            diagnostics.plot_whiteness(*parts, name, right)
+        else:
+            right.remove()
+    caption = (
+        f"Left: how NIS is distributed, against the chi-square law. Right: autocorrelation of "
+        f"the whitened innovations of {run.name}."
+    )
+    return [*found, Plate("innovations", "consistency", caption, axes[0, 0].figure)]
+
+
+def _verdicts(content: ReportContent, run: Run) -> list[Plate]:
+    if not diagnostics.verdict_rows(run, content.recording, content.rig):
+        return []
+    ax = diagnostics.plot_verdicts(run, content.recording, content.rig)
+    caption = f"What became of each reading, {run.name}; right of each row, how many."
+    return [Plate("verdicts", "verdicts", caption, ax.figure)]

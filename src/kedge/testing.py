@@ -1,0 +1,593 @@
+"""The contracts as checks, for kedge's own members and for anybody's.
+
+A test that calls ``check_vehicle("my-vehicle")`` (or passes the class, or an instance) is all
+that a new vehicle, sensor or filter needs. Each check raises a ``ContractError`` that names the
+law, what was found and what was expected. Every check compiles its member once and then tries
+it at many random points; the seeds are fixed, so that what passes keeps passing.
+"""
+
+import functools as ft
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from kedge.core import registry
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import Circle, Rotation, Space, space_of
+from kedge.core.quantities import Scalar
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import Estimates, estimate
+from kedge.estimation.log import Log, Readings, Schedule
+from kedge.estimation.online import Estimator
+from kedge.estimation.rig import Installation, Rig
+from kedge.numerics.linalg import cholesky
+from kedge.numerics.noise import process_std
+from kedge.simulation.scenario import Scenario
+from kedge.simulation.simulate import record
+
+__all__ = ["check_filter", "check_sensor", "check_vehicle", "quick_jit"]
+
+POINTS = 16
+SPAN = 60.0  # s
+
+quick_jit = ft.partial(
+    jax.jit,
+    compiler_options={
+        "xla_backend_optimization_level": 0,
+        "xla_llvm_disable_expensive_passes": True,
+        "xla_cpu_parallel_codegen_split_count": 1,
+    },
+)
+"""``jax.jit`` for what runs a few times only: compiles in half the time, runs slower."""
+
+
+def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> None:
+    """Check a vehicle against its contract, with steps of ``dt`` s.
+
+    Raises:
+        ContractError: the first law that it breaks.
+    """
+    model, require = _member(vehicle, registry.vehicles, AbstractVehicle)
+    state, density, control = model.start(), model.noise_density(), model.drive(0.0)
+    states = _charted(require, "start()", state)
+    noises = _charted(require, "noise_density()", density, tangent=True)
+    controls = _charted(require, "drive(0)", control)
+    _charted(require, "drive(1)", model.drive(1.0), of=type(control))
+
+    deviation = np.asarray(noises.flatten(density))
+    require(
+        "noise densities are finite and not negative",
+        bool(np.isfinite(deviation).all() and (deviation >= 0).all()),
+        found=deviation,
+    )
+    calm = noises.unflatten(noises.zeros())
+    with _tracing(require, "step can be traced"):
+        after = jax.eval_shape(
+            lambda s, u, w, h: model.step(s, u, w, h), state, control, calm, dt
+        )
+    require(
+        "step keeps the structure, the shapes and the dtypes of the state",
+        _layout(after) == _layout(state),
+        found=_layout(after),
+        expected=_layout(state),
+    )
+
+    def figures(key: PRNGKeyArray) -> dict[str, Array]:
+        some, other = jr.split(key)
+        points = jax.vmap(states.boxplus, (None, 0))(state, _tangents(states, some))
+        errors = _tangents(states, other, seam=True)
+        still = _origin(controls)
+        law = ft.partial(_vehicle_figures, model, still, dt)
+        return jax.vmap(law)(points, errors, jnp.linspace(0.0, SPAN, POINTS)) | {
+            "drive": _driven(model)
+        }
+
+    with _tracing(require, "step can be differentiated and mapped over states"):
+        found = {
+            name: np.asarray(value) for name, value in quick_jit(figures)(jr.key(1)).items()
+        }
+
+    size = 1e-9 * (1 + found["size"].max())
+    require.small(
+        "boxminus undoes boxplus, also near half a turn", found["minus of plus"], size
+    )
+    require.small(
+        "boxplus undoes boxminus, also near half a turn", found["plus of minus"], size
+    )
+    require.small("a step of 0 s changes nothing", found["no time"], 1e-12 * (1 + size))
+    require.small(
+        "two half steps are one step to third order: halving the step leaves 1/6 of the gap",
+        found["gap of half the step"],
+        found["gap"] / 6 + 1e-12 * (1 + found["size"]),
+    )
+    require.small(
+        "noise has the same variance at every step length: draw it with std density / sqrt(dt) "
+        "and let it act for dt; halving the step leaves 1/3 of the gap",
+        found["noise gap of half the step"],
+        found["noise gap"] / 3 + 1e-12 * (1 + found["noise"]),
+    )
+    require.finite("the Jacobians are finite, also at rest", found["jacobian"])
+    require.finite(f"what drive() does stays finite for {SPAN:g} s", found["drive"])
+
+
+def check_sensor(sensor: str | type | AbstractSensor) -> None:
+    """Check a sensor against its contract; one with a map, against each of its targets.
+
+    Raises:
+        ContractError: the first law that it breaks.
+    """
+    model, require = _member(sensor, registry.sensors, AbstractSensor)
+    reads, outputs = (
+        _charted_class(require, name, getattr(model, name, None))
+        for name in ("reads", "measures")
+    )
+    for name, default in model.reads._field_defaults.items():
+        shape = dict(zip(reads.cls._fields, reads.charts, strict=True))[name].shape
+        require(
+            f"the default of the optional field {name!r} has the shape of its quantity",
+            np.shape(default) == shape,
+            found=np.shape(default),
+            expected=shape,
+        )
+    rate = model.nominal_rate
+    require("nominal_rate is positive and finite", 0 < rate < np.inf, found=rate)
+
+    origin = _origin(reads)
+    targets = Installation("checked", model).targets
+    require("its map has a target", targets != 0, found="an empty map")
+    with _tracing(require, "observe can be traced"):
+        seen = jax.eval_shape(lambda point: model.facing(0).observe(point), origin)
+        noise = jax.eval_shape(lambda point: model.facing(0).noise_std(point), origin)
+    expected = [(chart.shape, origin_dtype()) for chart in outputs.charts]
+    _require_layout(
+        require, "observe returns what measures says", seen, model.measures, expected
+    )
+    spreads = [(chart.tangent_shape, None) for chart in outputs.charts]
+    _require_layout(
+        require, "noise_std returns what measures says", noise, model.measures, spreads
+    )
+
+    def figures(key: PRNGKeyArray) -> dict[str, Array]:
+        some, other = jr.split(key)
+        points = jax.vmap(reads.boxplus, (None, 0))(origin, 3 * _tangents(reads, some))
+        errors = _tangents(outputs, other, seam=True)
+        at = jnp.arange(POINTS) % (targets or 1)
+        return jax.vmap(ft.partial(_sensor_figures, model, reads, outputs))(points, errors, at)
+
+    with _tracing(require, "observe can be differentiated and mapped over states"):
+        found = {
+            name: np.asarray(value) for name, value in quick_jit(figures)(jr.key(2)).items()
+        }
+
+    require(
+        "the noise is positive",
+        bool((found["std"] > 0).all() and np.isfinite(found["std"]).all()),
+        found=found["std"].min(),
+        expected="> 0 and finite",
+    )
+    require("dof is the size of the measurement", int(model.dof()) == outputs.size, model.dof())
+    require.finite("the measurement is finite", found["measurement"])
+    require.small(
+        "residuals wrap: z (+) d (-) z is d, also near half a turn", found["wrap"], 1e-9
+    )
+    require.small(
+        "a turn of the state by 360 degrees changes no measurement", found["turn"], 1e-9
+    )
+    require.small("noise_cov is symmetric", found["skew"], 1e-12 * (1 + found["cov"].max()))
+    require.finite("noise_cov is positive definite", found["root"])
+    require.finite("the Jacobian is finite", found["jacobian"])
+
+
+def check_filter(filter: str | type | AbstractFilter) -> None:
+    """Check a filter against its contract, on a matched log.
+
+    It runs on a unicycle that sees landmarks; one that refuses nonlinear models with a
+    ``ContractError`` runs on a vehicle of constant velocity with GNSS.
+
+    Raises:
+        ContractError: the first law that it breaks.
+    """
+    model, require = _member(filter, registry.filters, AbstractFilter)
+    rig = _rig_for(model, require)
+    key = jr.key(4)
+    recording, _ = record(Scenario(rig, duration=3.0), jr.key(3), output_rate=5.0)
+    log = jax.tree.map(np.asarray, recording.log)
+    runs = (log.readings, _spoilt(log.readings), _missing(log.readings))
+    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *runs)
+    silent = log.schedule._replace(sensor=np.full_like(log.schedule.sensor, -1))
+
+    @quick_jit
+    def run(schedule: Schedule, readings: Any) -> Estimates:
+        def one(some: Any) -> Estimates:
+            return estimate(model, rig, Log(schedule, log.controls, some), key)
+
+        return jax.vmap(one)(readings)
+
+    with _tracing(require, "it can be traced, scanned and mapped over runs"):
+        found = jax.tree.map(np.asarray, run(log.schedule, batch))
+    for label, estimates in zip(("as it is", "spoilt", "missing"), range(3), strict=True):
+        moments = jax.tree.map(lambda leaf, i=estimates: leaf[i], found.moments)
+        require.finite(
+            f"the moments are finite, with readings {label}",
+            np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(moments)]),
+        )
+        scale = np.abs(moments.cov).max()
+        skew = np.abs(moments.cov - np.swapaxes(moments.cov, 1, 2))
+        require.small("covariances are symmetric", skew, 1e-9 * scale)
+        lowest = -np.linalg.eigvalsh(moments.cov).min()
+        require.small("covariances have no negative eigenvalue", lowest, 1e-9 * scale)
+
+    require(
+        "the same key gives the same bytes",
+        _bytes(run(log.schedule, batch)) == _bytes(found),
+        found="two results",
+        expected="one",
+    )
+    verdicts = found.outcome.verdict[2]
+    fired = log.schedule.sensor >= 0
+    require(
+        "a reading that is missing is not used",
+        bool((verdicts[fired] == Verdict.NOT_FINITE).all()),
+        found=[Verdict(v).name for v in verdicts[fired]],
+        expected="NOT_FINITE",
+    )
+    alone = jax.tree.map(lambda leaf: leaf[2], run(silent, batch).moments)
+    gone = jax.tree.map(lambda leaf: leaf[2], found.moments)
+    require.small("a missing reading leaves the prediction", _distance(alone, gone), 1e-12)
+
+    for index in range(2):
+        one = jax.tree.map(
+            lambda leaf, i=index: leaf[i], (found.moments, found.outcome.verdict)
+        )
+        gap, verdict = _online_gap(model, rig, log._replace(readings=runs[index]), key, *one)
+        require("batch and online give the same verdicts", verdict is None, found=verdict)
+        require.small("batch and online agree", gap, 1e-9)
+
+
+class _Require:
+    """Raises unless a law holds; knows whose contract it is."""
+
+    def __init__(self, member: str):
+        self.member = member
+
+    def __call__(self, law: str, holds: bool, found: Any, expected: Any = None) -> None:
+        if not holds:
+            wanted = "" if expected is None else f"; expected {expected}"
+            raise ContractError(f"{self.member} breaks the law '{law}': found {found}{wanted}")
+
+    def small(self, law: str, values: Any, bound: Any) -> None:
+        """No value is beyond its bound, and none is NaN."""
+        values, bound = np.broadcast_arrays(np.asarray(values), np.asarray(bound))
+        excess = np.where(np.isfinite(values), values - bound, np.inf)
+        worst = np.unravel_index(np.argmax(excess), excess.shape)
+        holds = bool((excess <= 0).all())
+        self(law, holds, f"{values[worst]:.3g}", f"at most {bound[worst]:.3g}")
+
+    def finite(self, law: str, values: Any) -> None:
+        """All values are finite."""
+        bad = np.count_nonzero(~np.isfinite(values))
+        self(law, bad == 0, f"{bad} of {np.size(values)} values that are not", "none")
+
+
+class _Tracing(NamedTuple):
+    """Turns what a member raises into a ``ContractError`` that says when."""
+
+    require: _Require
+    law: str
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if isinstance(error, Exception):
+            first = str(error).strip().splitlines() or [""]
+            found = f"{type(error).__name__}: {first[0]}"
+            raise ContractError(
+                f"{self.require.member} breaks the law '{self.law}': found {found}"
+            ) from error
+
+
+_tracing = _Tracing
+
+
+def _member(given: Any, family: registry.Registry, base: type) -> tuple[Any, _Require]:
+    """An instance of the member with its defaults, and the one who complains about it."""
+    if isinstance(given, base):
+        cls, label = type(given), type(given).__name__
+    else:
+        cls = family.get(given) if isinstance(given, str) else given
+        label = f"{given!r} ({cls.__name__})" if isinstance(given, str) else cls.__name__
+    require = _Require(f"{family.family[:-1]} {label}")
+    require(f"it is an {base.__name__}", issubclass(cls, base), cls.__mro__[1].__name__)
+    require(
+        "its docstring has a Source",
+        "Source:" in (cls.__dict__.get("__doc__") or ""),
+        found="none",
+        expected="'Source: author, title, year, section'",
+    )
+    if isinstance(given, base):
+        return given, require
+    try:
+        return cls(), require
+    except TypeError as error:
+        raise ContractError(
+            f"{require.member} breaks the law 'it can be made without arguments': {error}; "
+            "give every field a default and define every abstract method"
+        ) from error
+
+
+def _charted_class(require: _Require, name: str, cls: Any) -> Space:
+    require(
+        f"{name} is a NamedTuple class of quantities",
+        isinstance(cls, type) and issubclass(cls, tuple) and hasattr(cls, "_fields"),
+        found=cls,
+    )
+    return space_of(cls)
+
+
+def _charted(
+    require: _Require, name: str, value: Any, tangent: bool = False, of: Any = None
+) -> Space:
+    """The space of a value, whose shapes must be those of its charts."""
+    found = _charted_class(require, f"type of {name}", type(value))
+    require(f"{name} is always of one type", of in (None, type(value)), type(value), of)
+    expected = [chart.tangent_shape if tangent else chart.shape for chart in found.charts]
+    shapes = [np.shape(leaf) for leaf in value]
+    require(f"{name} has the shapes of its quantities", shapes == expected, shapes, expected)
+    return found
+
+
+def _layout(tree: Any) -> Any:
+    leaves, structure = jax.tree.flatten(tree)
+    return str(structure), [(np.shape(leaf), str(jnp.result_type(leaf))) for leaf in leaves]
+
+
+def _require_layout(
+    require: _Require, law: str, value: Any, cls: Any, expected: list[tuple[Any, Any]]
+) -> None:
+    require(law, type(value) is cls, type(value), cls)
+    found = [
+        (np.shape(leaf), None if dtype is None else str(jnp.result_type(leaf)))
+        for leaf, (_, dtype) in zip(value, expected, strict=True)
+    ]
+    require(law, found == expected, found, expected)
+
+
+def origin_dtype() -> str:
+    """Name of the floats that are computed with: ``float64`` unless 64 bits are switched off."""
+    return str(jnp.result_type(float))
+
+
+def _origin(found: Space) -> Any:
+    """A point of any space: where each chart puts what is missing."""
+    missing = found.cls(*(jnp.full(chart.shape, jnp.nan) for chart in found.charts))
+    return found.complete(missing)[0]
+
+
+def _tangents(found: Space, key: PRNGKeyArray, seam: bool = False) -> Float[Array, "k n"]:
+    """Random tangent vectors; with ``seam``, every other one turns by nearly half a turn."""
+    white = jr.normal(key, (POINTS, found.size))
+    if not seam:
+        return white
+    short = jnp.asarray([1e-2, 1e-4, 1e-7, 1e-9])[jnp.arange(POINTS) // 2 % 4]
+    near = jnp.where(jnp.arange(POINTS) % 4 < 2, 1, -1) * (jnp.pi - short)
+    at_seam = (jnp.arange(POINTS) % 2 == 1)[:, None]
+    parts = []
+    for chart, part in zip(found.charts, found.slices().values(), strict=True):
+        piece = white[:, part]
+        if isinstance(chart, Circle):
+            # Without the seam too, an angle's differences are shorter than half a turn.
+            piece = jnp.where(at_seam, near[:, None], jnp.pi * jnp.tanh(piece) * 0.9)
+        elif isinstance(chart, Rotation):
+            axis = piece / jnp.linalg.norm(piece, axis=1, keepdims=True)
+            length = jnp.pi * 0.9 * jnp.tanh(jnp.linalg.norm(piece, axis=1, keepdims=True))
+            piece = axis * jnp.where(at_seam, near[:, None], length)
+        parts.append(piece)
+    return jnp.concatenate([jnp.zeros((POINTS, 0)), *parts], axis=1)
+
+
+def _vehicle_figures(
+    model: Any, still: Any, dt: float, state: Any, error: Float[Array, " n"], time: Scalar
+) -> dict[str, Array]:
+    states, noises = space_of(type(state)), space_of(type(model.noise_density()))
+    control, calm = model.drive(time), noises.zeros()
+
+    def step(start: Any, length: Array) -> Any:
+        return model.step(start, control, noises.unflatten(calm), length)
+
+    def slopes(start: Any, length: Array, drive: Any) -> tuple[Array, Array]:
+        base = model.step(start, drive, noises.unflatten(calm), length)
+
+        def end(error: Array, noise: Array) -> Array:
+            begun = states.boxplus(start, error)
+            return states.boxminus(
+                model.step(begun, drive, noises.unflatten(noise), length), base
+            )
+
+        return jax.jacfwd(end, (0, 1))(states.zeros(), calm)
+
+    # Each function is traced once and mapped over all its arguments: that halves the time.
+    lengths = jnp.array([0.0, dt, dt / 2, dt / 4])
+    ends = jax.vmap(step, (None, 0))(state, lengths)
+    middles = jax.tree.map(lambda leaf: leaf[2:], ends)
+    halves = jax.vmap(step)(middles, lengths[2:])
+    gaps = jax.vmap(states.boxminus)(jax.tree.map(lambda leaf: leaf[1:3], ends), halves)
+
+    starts = _stacked([state, state, state, state, *_split(middles, 2)])
+    spans = lengths[jnp.array([1, 1, 2, 3, 2, 3])]
+    drives = _stacked([still, *[control] * 5])
+    slope, effect = jax.vmap(slopes)(starts, spans, drives)
+    spread = effect * jax.vmap(ft.partial(process_std, model))(spans)[:, None]
+    cov = spread @ jnp.swapaxes(spread, 1, 2)
+    sums = slope[4:] @ cov[2:4] @ jnp.swapaxes(slope[4:], 1, 2) + cov[4:]
+
+    moved = states.boxplus(state, error)
+    again = states.boxplus(state, states.boxminus(moved, state))
+    return {
+        "size": _norm(states.boxminus(state, model.start())),
+        "minus of plus": _norm(states.boxminus(moved, state) - error),
+        "plus of minus": _norm(states.boxminus(again, moved)),
+        "no time": _norm(states.boxminus(jax.tree.map(lambda leaf: leaf[0], ends), state)),
+        "gap": _norm(gaps[0]),
+        "gap of half the step": _norm(gaps[1]),
+        "noise": _norm(cov[1]),
+        "noise gap": _norm(sums[0] - cov[1]),
+        "noise gap of half the step": _norm(sums[1] - cov[2]),
+        "jacobian": jnp.concatenate([slope.ravel(), effect.ravel()]),
+    }
+
+
+def _driven(model: Any) -> Array:
+    """All values of the states along the default drive."""
+    noises = space_of(type(model.noise_density()))
+    length = 0.1  # s
+
+    def body(state: Any, time: Array) -> tuple[Any, Array]:
+        state = model.step(state, model.drive(time), noises.unflatten(noises.zeros()), length)
+        return state, jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(state)])
+
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.start())
+    return jax.lax.scan(body, start, jnp.arange(0.0, SPAN, length))[1]
+
+
+def _sensor_figures(
+    model: Any, reads: Space, outputs: Space, point: Any, error: Float[Array, " m"], target: Any
+) -> dict[str, Array]:
+    facing = model.facing(target)
+    seen = facing.observe(point)
+
+    def slope(shift: Array) -> Array:
+        return outputs.boxminus(facing.observe(reads.boxplus(point, shift)), seen)
+
+    # The same point by its other name: 360 degrees on, or the opposite quaternion.
+    other = reads.cls(
+        *(
+            leaf + 2 * jnp.pi
+            if isinstance(c, Circle)
+            else -leaf
+            if isinstance(c, Rotation)
+            else leaf
+            for c, leaf in zip(reads.charts, point, strict=True)
+        )
+    )
+    cov = facing.noise_cov(point)
+    return {
+        "measurement": jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(seen)]),
+        "std": outputs.flatten(facing.noise_std(point)),
+        "wrap": jnp.abs(outputs.boxminus(outputs.boxplus(seen, error), seen) - error),
+        "turn": jnp.abs(outputs.boxminus(facing.observe(other), seen)),
+        "cov": jnp.abs(cov),
+        "skew": jnp.abs(cov - cov.T),
+        "root": cholesky(cov),
+        "jacobian": jax.jacfwd(slope)(reads.zeros()),
+    }
+
+
+def _stacked(trees: list[Any]) -> Any:
+    return jax.tree.map(
+        lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees
+    )
+
+
+def _split(tree: Any, count: int) -> list[Any]:
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], tree) for i in range(count)]
+
+
+def _norm(vector: Array) -> Array:
+    return jnp.sqrt(jnp.sum(vector**2))
+
+
+def _rigs() -> Iterator[Rig]:
+    for name, carried in (("unicycle", "landmarks"), ("constant-velocity", "gnss")):
+        vehicle = registry.vehicles.get(name)()
+        start = vehicle.start()
+        sensor = Installation(carried, registry.sensors.get(carried)())
+        yield Rig(vehicle, (sensor,), Gaussian(start, 0.1 * np.eye(space_of(type(start)).size)))
+
+
+def _rig_for(model: AbstractFilter, require: _Require) -> Rig:
+    refusal = None
+    for rig in _rigs():
+        try:
+            jax.eval_shape(
+                lambda key, rig=rig: model.predict(
+                    rig.vehicle, model.init(rig.prior, key), rig.vehicle.drive(0.0), 0.1, key
+                ),
+                jr.key(0),
+            )
+        except ContractError as error:
+            refusal = error
+        else:
+            return rig
+    raise ContractError(f"{require.member} refuses every vehicle: {refusal}") from refusal
+
+
+def _spoilt(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
+    """Components missing in turn, one infinity, one target that is not on the map."""
+    spoilt = []
+    for one in readings:
+        leaves, structure = jax.tree.flatten(one.measurement)
+        for place, leaf in enumerate(leaves):
+            flat = np.array(leaf, float)
+            for row in range(len(flat)):
+                if flat.ndim > 1 and row % 3 == 1:
+                    flat[row, row % flat.shape[1]] = np.nan
+                elif flat.ndim == 1 and row % 3 == 1 and row // 3 % len(leaves) == place:
+                    flat[row] = np.nan
+            flat[0] = np.inf
+            leaves[place] = flat
+        target = np.array(one.target)
+        target[2] = -1
+        spoilt.append(Readings(jax.tree.unflatten(structure, leaves), target))
+    return tuple(spoilt)
+
+
+def _missing(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
+    return tuple(
+        one._replace(
+            measurement=jax.tree.map(lambda z: np.full_like(z, np.nan), one.measurement)
+        )
+        for one in readings
+    )
+
+
+def _online_gap(
+    model: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, moments: Any, verdicts: Array
+) -> tuple[float, str | None]:
+    """The largest difference of an online run from a batch, and the first other verdict."""
+    (time, sensor, row), controls, readings = log
+    before = jax.tree.map(lambda leaf: leaf[0], controls)
+    online, worst = Estimator(model, rig, key, control=before), 0.0
+    for i in range(len(time)):
+        control = jax.tree.map(lambda leaf, at=min(i + 1, len(time) - 1): leaf[at], controls)
+        name, given = None, Readings(None, 0)  # pyright: ignore[reportArgumentType]
+        if sensor[i] >= 0:
+            name = rig.sensors[sensor[i]].name
+            given = jax.tree.map(lambda leaf, at=row[i]: leaf[at], readings[sensor[i]])
+        answer = online.push(
+            float(time[i]), name, given.measurement, control=control, target=given.target
+        )
+        expected = jax.tree.map(lambda leaf, at=i: leaf[at], moments)
+        worst = max(worst, _distance(answer.moments, expected))
+        if int(answer.outcome.verdict) != int(verdicts[i]):
+            batch = Verdict(int(verdicts[i])).name
+            return (
+                worst,
+                f"{batch} in the batch, {answer.verdict.name} online, at {time[i]:g} s",
+            )
+    return worst, None
+
+
+def _distance(one: Gaussian, other: Gaussian) -> float:
+    gaps = jax.tree.map(lambda a, b: np.max(np.abs(np.asarray(a) - np.asarray(b))), one, other)
+    return float(np.max(jax.tree.leaves(gaps)))
+
+
+def _bytes(tree: Any) -> list[bytes]:
+    return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(tree)]
