@@ -25,7 +25,9 @@ SPEED_NOISE, YAW_RATE_NOISE, RANGE_STD, BEARING_STD, GNSS_STD = 0.1, 0.02, 0.5, 
 
 @pytest.fixture(scope="module")
 def scenario():
-    vehicle = kedge.make_vehicle("unicycle", speed_noise=SPEED_NOISE, yaw_rate_noise=YAW_RATE_NOISE)
+    vehicle = kedge.make_vehicle(
+        "unicycle", speed_noise=SPEED_NOISE, yaw_rate_noise=YAW_RATE_NOISE
+    )
     camera = kedge.make_sensor("landmarks", range_std=RANGE_STD, bearing_std=BEARING_STD)
     gnss = kedge.make_sensor("gnss", std=GNSS_STD)
     rig = kedge.Rig(
@@ -48,7 +50,9 @@ def test_one_log(scenario, plan, times):
     call = compile_estimate(extended, scenario.rig, log, keep=False)
     (found, _), ours = times.best(lambda: jax.block_until_ready(call()), 20)
     rival, theirs = times.best(lambda: filterpy(scenario, log), 3)
-    np.testing.assert_allclose(np.asarray(found.moments.mean.position)[-1], rival[:2], atol=1e-8)
+    np.testing.assert_allclose(
+        np.asarray(found.moments.mean.position)[-1], rival[:2], atol=1e-8
+    )
     times.row("extended, one log", "FilterPy", theirs / events, ours / events, at_least=5)
 
 
@@ -133,7 +137,9 @@ def filterpy(scenario, log):
             slope = (math.cos(half) - sinc) / turn if abs(half) > 1e-9 else 0.0
             chord, course = v * dt * sinc, ekf.x[2] + half
             cos, sin = math.cos(course), math.sin(course)
-            ekf.F = np.array([[1.0, 0.0, -chord * sin], [0.0, 1.0, chord * cos], [0.0, 0.0, 1.0]])
+            ekf.F = np.array(
+                [[1.0, 0.0, -chord * sin], [0.0, 1.0, chord * cos], [0.0, 0.0, 1.0]]
+            )
             bent = v * dt * dt * slope
             spread = np.array(
                 [

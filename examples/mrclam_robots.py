@@ -2,8 +2,8 @@
 
     python examples/mrclam_robots.py [FOLDER] [--rig RIG] [--until SECONDS]
 
-Prints, for each robot and in the mean: position RMSE and the share of position errors inside the
-95 % bound, for dead reckoning, the extended filter and its smoother.
+Prints, for each robot and in the mean: position and heading RMSE and the share of position
+errors inside the 95 % bound, for dead reckoning, the extended filter and its smoother.
 """
 
 import argparse

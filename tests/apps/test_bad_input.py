@@ -45,7 +45,7 @@ def unit_of_another_kind(site):
 
 def time_going_backwards(site):
     line(site / "log" / "odometry.csv", 12, "0.3,1.0,11.0")
-    return ["odometry.csv", "12", "0.3"]
+    return ["odometry.csv:12", "300000000 ns", "backwards"]
 
 
 def time_duplicated(site):

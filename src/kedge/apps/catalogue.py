@@ -38,7 +38,8 @@ def print_catalogue(found: dict[str, dict[str, Any]]) -> None:
     for family, table in found.items():
         console.print(f"[bold]{family}[/bold]")
         for name, about in table.items():
-            console.print(f"  [cyan]{name:20s}[/cyan] {about['summary']}", markup=True)
+            title = f"  [cyan]{name:20s}[/cyan]"
+            console.print(title, about["summary"])
             settings = [
                 f"{key}={_plain(value['default'])}{' ' + value['unit'] if value['unit'] else ''}"
                 for key, value in about.get("parameters", {}).items()

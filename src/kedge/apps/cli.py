@@ -8,7 +8,13 @@ import click
 import typer
 
 from kedge import __version__
-from kedge.apps.console import ThresholdMissed, print_filters, print_json, require
+from kedge.apps.console import (
+    ThresholdMissed,
+    parse_requirements,
+    print_filters,
+    print_json,
+    require,
+)
 from kedge.core.errors import KedgeError
 
 app = typer.Typer(
@@ -46,6 +52,8 @@ Require = Annotated[
     ),
 ]
 
+Report = Annotated[bool, typer.Option(help="Draw the report and its figures.")]
+
 
 @app.command("list")
 def list_(
@@ -74,15 +82,18 @@ def estimate(
     seed: Seed = 0,
     set_: Set = None,
     require_: Require = None,
+    report: Report = True,
     as_json: Json = False,
 ) -> None:
     """One filter over a recorded log."""
     from kedge.apps.workflow import execute, load
 
+    conditions = parse_requirements(require_ or [])
     problem = load(rig, log, truth, until, set_)
     name = filter or problem.filter
     names = [name, f"{name}+smoother"] if smooth else [name]
-    _finish(execute(problem, names, out, "estimate", seed), out, require_, as_json)
+    summary = execute(problem, names, out, "estimate", seed, report)
+    _finish(summary, out, conditions, as_json)
 
 
 @app.command()
@@ -98,14 +109,18 @@ def compare(
     seed: Seed = 0,
     set_: Set = None,
     require_: Require = None,
+    report: Report = True,
     as_json: Json = False,
 ) -> None:
     """Several filters over one recorded log."""
     from kedge.apps.workflow import execute, load, split_names
 
+    conditions = parse_requirements(require_ or [])
+    conditions = parse_requirements(require_ or [])
     problem = load(rig, log, truth, until, set_)
     names = split_names(filters)
-    _finish(execute(problem, names, out, "compare", seed), out, require_, as_json)
+    summary = execute(problem, names, out, "compare", seed, report)
+    _finish(summary, out, conditions, as_json)
 
 
 @app.command()
@@ -119,7 +134,7 @@ def demo(
     from kedge.apps.workflow import execute
 
     problem = demo_problem(until)
-    _finish(execute(problem, FILTERS, out, "demo", 0), out, None, as_json)
+    _finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json)
 
 
 @datasets_app.command("list")
@@ -172,14 +187,18 @@ def _root(
 
 
 def _finish(
-    summary: dict[str, Any], out: Path, conditions: list[str] | None, as_json: bool
+    summary: dict[str, Any],
+    out: Path,
+    conditions: list[tuple[str, str, float]],
+    as_json: bool,
 ) -> None:
     if as_json:
         print_json(summary)
     else:
         print_filters(summary["filters"])
-        print(f"\nreport: {out / 'report.html'}")
-    require(summary["filters"], conditions or [])
+        shown = "report.html" if (out / "report.html").exists() else "summary.json"
+        print(f"\nresults: {out / shown}")
+    require(summary["filters"], conditions)
 
 
 def main() -> None:

@@ -5,10 +5,11 @@ import json
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from kedge.core.errors import ConfigError, KedgeError
+from kedge.core.registry import unknown
 
 
 class ThresholdMissed(KedgeError):
@@ -95,19 +96,16 @@ def _final(scores: Mapping[str, Any]) -> str:
     return f"{scores['final_error'] / driven:.1%} of path" if driven else "-"
 
 
-REQUIREMENT = re.compile(r"^([\w.+:=-]+?)\s*(<=|>=)\s*([-+.\deE]+)$")
+REQUIREMENT = re.compile(r"^(\S+?)\s*(<=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)$")
 
 
-def require(filters: Mapping[str, Any], conditions: list[str]) -> None:
-    """Check conditions such as ``extended.rmse.position<=0.25``.
+def parse_requirements(conditions: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Conditions such as ``extended.rmse.position<=0.25`` as name, relation and bound.
 
     Raises:
-        ConfigError: a condition cannot be understood, or names no score.
-        ThresholdMissed: one does not hold.
+        ConfigError: a condition cannot be understood.
     """
-    from kedge.files.results import flatten
-
-    scores = dict(flatten(filters))
+    found = []
     for condition in conditions:
         parts = REQUIREMENT.match(condition)
         if parts is None:
@@ -116,11 +114,23 @@ def require(filters: Mapping[str, Any], conditions: list[str]) -> None:
                 "e.g. extended.rmse.position<=0.25"
             )
         name, relation, text = parts.groups()
+        found.append((name, relation, float(text)))
+    return found
+
+
+def require(filters: Mapping[str, Any], conditions: Sequence[tuple[str, str, float]]) -> None:
+    """Check conditions against the scores.
+
+    Raises:
+        ConfigError: there is no such score.
+        ThresholdMissed: a condition does not hold.
+    """
+    from kedge.files.results import flatten
+
+    scores = {k: v for k, v in flatten(filters) if isinstance(v, (int, float))}
+    for name, relation, bound in conditions:
         if name not in scores:
-            raise ConfigError(
-                f"--require {condition!r}: no score {name!r}; "
-                f"there are {', '.join(k for k, v in scores.items() if isinstance(v, float))}"
-            )
-        bound, value = float(text), float(scores[name])
+            raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
+        value = float(scores[name])
         if not (value <= bound if relation == "<=" else value >= bound):
             raise ThresholdMissed(f"{name} is {value:.6g}, required {relation} {bound:g}")

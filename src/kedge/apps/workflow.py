@@ -16,6 +16,7 @@ from platformdirs import user_cache_path
 
 from kedge import __version__
 from kedge.apps.console import progress
+from kedge.apps.output import write_results
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.smoother import compile_smoother
@@ -25,7 +26,6 @@ from kedge.files.atomic import fresh_folder
 from kedge.files.config import build_filter
 from kedge.files.problem import Problem, load_problem
 from kedge.files.results import as_toml, digest, plain
-from kedge.apps.output import write_results
 
 SMOOTHER = "+smoother"
 BASELINE = "dead-reckoning"
@@ -46,7 +46,12 @@ def load(
 
 
 def execute(
-    problem: Problem, names: Sequence[str], out: Path, command: str, seed: int
+    problem: Problem,
+    names: Sequence[str],
+    out: Path,
+    command: str,
+    seed: int,
+    report: bool = True,
 ) -> dict[str, Any]:
     """Run the filters, write the folder of results with its report, return the summary.
 
@@ -67,8 +72,9 @@ def execute(
         summary = summarise(problem, runs, facts)
         say("writing results")
         write_results(folder, problem, runs, summary)
-        say("drawing the report")
-        write_report(folder, content_of(problem, runs, summary))
+        if report:
+            say("drawing the report")
+            write_report(folder, content_of(problem, runs, summary))
     return plain(summary)
 
 

@@ -92,10 +92,14 @@ def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
     return jax.random.key(0) if key is None else key
 
 
-@eqx.filter_jit
-def scan(
+def _scan(
     filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
 ) -> tuple[Estimates, Any]:
+    """The pass behind the functions above, for callers that batch or compile it themselves.
+
+    Parameters must be arrays already; with ``keep`` the second result is a :class:`History`.
+    """
+
     def predict(belief, control, dt, key):
         if not (keep and isinstance(filter, AbstractGaussianFilter)):
             return advance(filter, rig.vehicle, belief, control, dt, key), None
@@ -132,3 +136,6 @@ def scan(
     events = log.schedule, log.controls
     _, (moments, outcome, history) = lax.scan(body, start, events)
     return Estimates(log.schedule.time, moments, outcome), history
+
+
+scan: Any = eqx.filter_jit(_scan)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
@@ -31,8 +31,8 @@ class Answer(NamedTuple):
 class Estimator:
     """Feed events as they come; read the belief at any moment.
 
-    A control holds from its time on; until the first, ``control`` or nothing does. An event older than the belief changes nothing and gets
-    the verdict LATE; a belief never goes back in time.
+    A control holds from its time on; until the first, ``control`` does, or nothing. An event
+    older than the belief changes nothing and gets the verdict LATE; a belief never goes back.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Estimator:
         measurement: Any = None,
         *,
         control: Any = None,
-        target: int = 0,
+        target: int | Int[Array, ""] = 0,
         cov: Any = None,
     ) -> Answer:
         """Advance to ``time`` in s, use a reading if one is given, then hold a new control.

@@ -58,7 +58,7 @@ class Installation(eqx.Module):
         return leaves[0].shape[0] if leaves else None
 
     def knows(self, target: Int[Array, ""]) -> Bool[Array, ""]:
-        """Whether an index is on the sensor's map; without a map, whether it is not negative."""
+        """Whether a target is on the sensor's map; without a map: whether it is one."""
         known = target >= 0
         return known if self.targets is None else known & (target < self.targets)
 
@@ -146,10 +146,7 @@ def check_reads(installation: Installation, state: Any, vehicle: str) -> None:
 
 
 def as_arrays(tree: Any) -> Any:
-    """Turn the float parameters of a model into arrays, so that changing one recompiles nothing.
-
-    No array stays weakly typed: that would be a second type of the same value, and recompile.
-    """
+    """Turn float parameters into arrays, so that changing one recompiles nothing."""
 
     def convert(leaf: Any) -> jax.Array:
         return jnp.asarray(leaf, float if isinstance(leaf, float) else jnp.result_type(leaf))

@@ -1,6 +1,7 @@
 """Fixed-interval smoothing: every estimate in the light of all readings of the log."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -31,7 +32,8 @@ def smooth(
 
 def compile_smoother(filtered: Gaussian, history: History) -> Callable[[], Gaussian]:
     """Compile the backward pass without running it."""
-    compiled = rauch_tung_striebel.lower(filtered, history).compile()
+    jitted: Any = rauch_tung_striebel
+    compiled = jitted.lower(filtered, history).compile()
     return lambda: compiled(filtered, history)
 
 

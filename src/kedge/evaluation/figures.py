@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from kedge.core.errors import DataError
 from kedge.core.manifolds import space_of
 from kedge.estimation.log import Truth
 from kedge.evaluation import style
@@ -149,10 +150,14 @@ def plot_distance(runs: Sequence[Run], ax: Axes | None = None) -> Axes:
 
 @style.styled
 def plot_errors(run: Run, axes: Any = None, color: str | None = None) -> Any:
-    """Draw truth minus estimate by component, each in its band of three standard deviations."""
+    """Draw truth minus estimate by component, each in its band of three standard deviations.
+
+    Raises:
+        DataError: the run was not compared with truth.
+    """
     errors = run.errors
     if errors is None:
-        raise ValueError(f"{run.name}: there are no errors without truth")
+        raise DataError(f"{run.name}: there are no errors without truth")
     rows = len(errors.labels)
     if axes is None:
         each = 1.45 if rows <= 4 else 1.15

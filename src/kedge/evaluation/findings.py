@@ -13,10 +13,8 @@ from kedge.evaluation.drawing import without_fused
 from kedge.evaluation.figures import main_field, rivals
 from kedge.evaluation.score import Run
 
-HONEST = (
-    0.85  # share of errors inside the 95 % bound below which a run is called over-confident
-)
-CAUTIOUS = 0.99
+# Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
+HONEST, CAUTIOUS = 0.85, 0.99
 
 
 def principal(runs: Sequence[Run]) -> Run:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kedge.core.errors import DataError
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation import diagnostics, figures, findings, style, tables
@@ -51,6 +52,9 @@ def write_report(folder: Path, content: ReportContent) -> Path:
         KedgeError: matplotlib or jinja2 is not installed.
         DataError: there is no run to report on.
     """
+    if not content.runs:
+        raise DataError("a report needs a run, found none")
+    style.studio("matplotlib")  # before anything is written
     jinja2, markup = style.studio("jinja2"), style.studio("markupsafe").Markup
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     drawn: dict[str, list[dict[str, Any]]] = {}

@@ -41,13 +41,14 @@ class Inflated(AbstractMeasurementModel[Any]):
 class Robust(AbstractFilter[Any]):
     r"""Multiplies R by $\max(1, (\nu + d^2) / (\nu + m))$ before the update.
 
-    $d^2$ is the normalised innovation squared of the m components there, and ``dof`` is
-    $\nu$ of the Student-t distribution whose weights these are: 4 is heavy-tailed, 1e6 is
-    Gaussian. One pass, so the update stays straight-line. What is reported (NIS, likelihood) is
-    the innovation under the nominal noise, so that gates and consistency tests keep their sense.
+    $d^2$ is the normalised innovation squared of the m components there, and
+    ``student_dof`` is $\nu$ of the Student-t distribution whose weights these are: 4 is
+    heavy-tailed, 1e6 Gaussian. One pass, so the update stays straight-line. What is reported
+    (NIS, likelihood) is the innovation under the nominal noise, so that gates and consistency
+    tests keep their sense.
 
-    Source: M. Roth, E. Oezkan, F. Gustafsson, "A Student's t filter for heavy tailed process and
-    measurement noise", ICASSP 2013.
+    Source: M. Roth, E. Özkan, F. Gustafsson, "A Student's t filter for heavy tailed process
+    and measurement noise", ICASSP 2013.
     """
 
     inner: AbstractFilter = ExtendedKalman()
@@ -56,7 +57,7 @@ class Robust(AbstractFilter[Any]):
     def __check_init__(self):
         if isinstance(self.student_dof, (int, float)) and not self.student_dof > 0:
             raise ContractError(
-                f"robust: student_dof is {self.student_dof:g}, must be above 0; 4 is heavy-tailed"
+                f"robust: student_dof is {self.student_dof:g}, must be above 0, e.g. 4"
             )
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Any:

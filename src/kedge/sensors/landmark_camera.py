@@ -25,11 +25,11 @@ class Reads(NamedTuple):
 
 @sensors.add("landmark-camera")
 class LandmarkCamera(AbstractSensor[Measurement]):
-    r"""$z = [s\, r \cos\beta,\ \beta + b]$, $r = \lVert l - p \rVert$, $\beta = \angle(l - p) - \psi$.
+    r"""$z = [s\, r \cos\beta,\ \beta + b]$ at distance r and bearing $\beta$ from the nose.
 
-    The apparent size of a landmark gives its depth $r \cos\beta$ along the optical axis, not its
-    distance: at 30 degrees off the axis the two differ by 13 %. Data sets that call the depth
-    a range (MRCLAM) have it so all the same.
+    The apparent size of a landmark gives its depth $r \cos\beta$ along the optical axis, not
+    its distance: 30 degrees off the axis the two differ by 13 %. Some data sets (MRCLAM) call
+    the depth a range.
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry in Computer Vision", 2nd ed.,
     2004, section 6.1 (the pinhole camera).
@@ -43,7 +43,7 @@ class LandmarkCamera(AbstractSensor[Measurement]):
     depth_std_per_metre: Ratio = 0.03
     bearing_std: Radians = 0.02
     widest: Radians = 1.37
-    """Beyond this bearing the depth is held: a camera does not see there, a filter may look."""
+    """Beyond it the depth is held: no camera sees there, but a filter may look."""
 
     def observe(self, state: Reads) -> Measurement:
         distance, angle = polar(self.target.position - state.position)

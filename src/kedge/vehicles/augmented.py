@@ -44,11 +44,11 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
     charts: tuple[tuple[str, Chart], ...] = eqx.field(static=True)
 
     def step(self, state: Any, control: Any, noise: Any, dt: Scalar) -> Any:
-        """Step the vehicle with the present values, then let them wander."""
+        """Step the vehicle with the values at the middle of the step, and let them wander."""
         vehicle = self.vehicle
         for name, _ in self.charts:
             if hasattr(vehicle, name):
-                value = getattr(state, name)
+                value = self._after(name, state, dt / 2)
                 vehicle = eqx.tree_at(lambda v, n=name: getattr(v, n), vehicle, value)
         inner, walks = type(vehicle.start()), type(vehicle.noise_density())
         moved = vehicle.step(
@@ -57,13 +57,16 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
             walks(*noise[: len(walks._fields)]),
             dt,
         )
-        after = []
-        for name, _ in self.charts:
-            slow, value = self.slow[name], getattr(state, name)
-            decay = jnp.exp(-dt / slow.time_constant)
-            wander = getattr(noise, name) * dt
-            after.append(slow.nominal + (value - slow.nominal) * decay + wander)
+        after = (
+            self._after(name, state, dt) + getattr(noise, name) * dt for name, _ in self.charts
+        )
         return type(state)(*moved, *after)
+
+    def _after(self, name: str, state: Any, time: Scalar) -> Any:
+        """A slow quantity after some time without noise."""
+        slow = self.slow[name]
+        decay = jnp.exp(-time / slow.time_constant)
+        return slow.nominal + (getattr(state, name) - slow.nominal) * decay
 
     def noise_density(self) -> Any:
         """The vehicle's, then the walks."""

@@ -1,0 +1,11 @@
+"""Every registered filter keeps its contract; new ones are found without being named."""
+
+import pytest
+
+from kedge.core import registry
+from kedge.testing import check_filter
+
+
+@pytest.mark.parametrize("name", registry.filters.names())
+def test_filter(name):
+    check_filter(name)

@@ -1,0 +1,11 @@
+"""Every registered sensor keeps its contract; new ones are found without being named."""
+
+import pytest
+
+from kedge.core import registry
+from kedge.testing import check_sensor
+
+
+@pytest.mark.parametrize("name", registry.sensors.names())
+def test_sensor(name):
+    check_sensor(name)

@@ -1,0 +1,113 @@
+"""The traced step of a Gaussian filter is straight-line code.
+
+One kernel can then be compiled from it that runs many filters in SIMD lanes: static shapes, no
+loops, no random numbers, no decomposition that is not unrolled.
+"""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import pytest
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from kedge.core import registry
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractGaussianFilter
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import space
+from kedge.estimation.rig import Installation, check_reads
+from kedge.filters.ensemble import EnsembleKalman
+from kedge.filters.gated import Gated
+from kedge.vehicles.augmented import Augmented, Wander, augment
+
+GAUSSIAN = [
+    name
+    for name in registry.filters.names()
+    if issubclass(registry.filters.get(name), AbstractGaussianFilter)
+]
+CROOKED = ("while", "scan", "random", "threefry", "eigh", "svd", "lu", "qr", "erf_inv", "sort")
+
+
+def primitives(program: Jaxpr) -> Iterator[str]:
+    """Names of all primitives, those of inner programs too."""
+    for equation in program.eqns:
+        yield equation.primitive.name
+        for inner in jax.tree.leaves(
+            list(equation.params.values()),
+            is_leaf=lambda p: isinstance(p, (Jaxpr, ClosedJaxpr)),
+        ):
+            if isinstance(inner, (Jaxpr, ClosedJaxpr)):
+                yield from primitives(getattr(inner, "jaxpr", inner))
+
+
+def crooked(function, *arguments) -> set[str]:
+    found = set(primitives(jax.make_jaxpr(function)(*arguments).jaxpr))
+    return {name for name in found if any(part in name.split("_") for part in CROOKED)}
+
+
+def fitting(state) -> Iterator[Installation]:
+    for name in registry.sensors.names():
+        sensor = Installation(name, registry.sensors.make(name))
+        try:
+            check_reads(sensor, type(state), "vehicle")
+        except ContractError:
+            continue
+        yield sensor
+
+
+def vehicle_called(name):
+    if name == "augmented":
+        return augment(registry.vehicles.make("unicycle"), {"speed_scale": Wander(0.1)}, ())
+    return registry.vehicles.make(name)
+
+
+@pytest.mark.parametrize("vehicle", [*registry.vehicles.names(), "augmented"])
+@pytest.mark.parametrize("name", GAUSSIAN)
+def test_step_is_straight_line(name, vehicle):
+    filter, model = registry.filters.make(name), vehicle_called(vehicle)
+    assert isinstance(model, Augmented) == (vehicle == "augmented")
+    start, key = model.start(), jr.key(0)
+    belief = Gaussian(start, jnp.eye(space(start).size))
+    belief = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), belief)
+    try:
+        found = crooked(lambda b: filter.predict(model, b, model.drive(0.0), 0.1, key), belief)
+    except ContractError:
+        assert name == "kalman"
+        pytest.skip("it refuses nonlinear models")
+    assert not found
+
+    sensors = list(fitting(start))
+    assert sensors, f"no sensor fits {vehicle}: its updates cannot be tested"
+    for installation in sensors:
+        sensor = installation.sensor.facing(0)
+        reading = jax.eval_shape(sensor.expect, start)
+        reading = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), reading)
+        try:
+            found = crooked(lambda b, z, s=sensor: filter.update(s, b, z, key), belief, reading)
+        except ContractError:
+            assert name == "kalman"
+            continue
+        assert not found, installation.name
+
+
+def test_the_gate_is_straight_line():
+    start, sensor = registry.vehicles.make("unicycle").start(), registry.sensors.make("gnss")
+    belief, reading, key = (
+        Gaussian(start, jjnp.eye(3)),
+        sensor.measures(jnp.zeros(2)),
+        jr.key(0),
+    )
+    assert not crooked(lambda b, z: Gated().update(sensor, b, z, key), belief, reading)
+
+
+def test_the_search_finds_what_is_crooked():
+    """It looks into inner programs, and by parts of names: no test that cannot fail."""
+    filter, model = EnsembleKalman(4), registry.vehicles.make("unicycle")
+    found = crooked(
+        lambda key: filter.init(Gaussian(model.start(), jnp.eye(3)), key), jr.key(0)
+    )
+    assert {"random_bits", "erf_inv"} <= found
+    assert "while" in crooked(lambda x: jax.lax.fori_loop(0, x, lambda i, c: c + i, 0), 3)
+    assert "eigh" in crooked(jax.jit(jnp.linalg.eigh), jnp.eye(3))

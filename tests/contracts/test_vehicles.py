@@ -1,0 +1,21 @@
+"""Every registered vehicle keeps its contract; new ones are found without being named."""
+
+import jax.numpy as jnp
+import pytest
+
+from kedge.core import registry
+from kedge.testing import check_vehicle
+from kedge.vehicles.augmented import Wander, augment
+
+
+@pytest.mark.parametrize("name", registry.vehicles.names())
+def test_vehicle(name):
+    check_vehicle(name)
+
+
+def test_augmented_vehicle():
+    """A walk, a drift back to the nominal value, and a parameter in the vehicle's own place."""
+    slow = {"speed_scale": Wander(0.05), "yaw_rate_scale": Wander(0.02, time_constant=3.0)}
+    vehicle = augment(registry.vehicles.make("unicycle"), slow, ())
+    assert jnp.shape(vehicle.start().speed_scale) == ()
+    check_vehicle(vehicle)

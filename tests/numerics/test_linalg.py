@@ -1,0 +1,127 @@
+"""Unrolled factorisations and solves against numpy, on both sides of the library's threshold."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kedge.numerics.linalg import (
+    UNROLLED,
+    cholesky,
+    gain,
+    solve_lower,
+    solve_lower_transposed,
+    square_root,
+    symmetric,
+)
+from kedge.testing import quick_jit
+
+SIZES = range(1, UNROLLED + 2)
+RANDOM = np.random.default_rng(0)
+
+
+def positive_definite(size):
+    factor = RANDOM.normal(size=(size, size))
+    # Scales from 1e-3 to 1e3: nothing may depend on units.
+    scale = np.diag(10 ** np.linspace(-3, 3, size))
+    return scale @ (factor @ factor.T + 0.1 * np.eye(size)) @ scale
+
+
+COVS = {size: positive_definite(size) for size in SIZES}
+RIGHTS = {size: RANDOM.normal(size=(size, 2)) for size in SIZES}
+
+
+@pytest.fixture(scope="module")
+def found():
+    @quick_jit
+    def every(covs, rights):
+        def one(cov, right):
+            root = cholesky(cov)
+            return {
+                "root": root,
+                "square root": square_root(cov),
+                "forward": solve_lower(root, right),
+                "backward": solve_lower_transposed(root, right),
+            }
+
+        return {size: one(covs[size], rights[size]) for size in covs}
+
+    return every(COVS, RIGHTS)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_factor_is_that_of_numpy(found, size):
+    expected = np.linalg.cholesky(COVS[size])
+    np.testing.assert_allclose(found[size]["root"], expected, rtol=1e-11)
+    np.testing.assert_allclose(found[size]["square root"], expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_solutions_solve(found, size):
+    root, right = np.linalg.cholesky(COVS[size]), RIGHTS[size]
+    one = found[size]
+    np.testing.assert_allclose(one["forward"], np.linalg.solve(root, right), rtol=1e-9)
+    np.testing.assert_allclose(one["backward"], np.linalg.solve(root.T, right), rtol=1e-9)
+
+
+def test_gain_solves_from_the_right():
+    cov, cross = COVS[3], RIGHTS[3].T
+    found = quick_jit(lambda cov: gain(jnp.asarray(cross), cholesky(cov)))(cov)
+    np.testing.assert_allclose(found, np.linalg.solve(cov, cross.T).T, rtol=1e-9)
+
+
+def test_a_vector_is_solved_as_a_column_is():
+    root, right = np.linalg.cholesky(COVS[3]), RIGHTS[3][:, 0]
+    np.testing.assert_allclose(
+        quick_jit(solve_lower)(root, right), np.linalg.solve(root, right)
+    )
+
+
+@pytest.fixture(scope="module", params=[4, UNROLLED + 1])
+def spoilt(request):
+    """A factoriser of matrices of one size, for what is not positive definite."""
+    size = request.param
+    both = quick_jit(lambda matrix: (cholesky(matrix), square_root(matrix)))
+    return size, lambda matrix: jax.tree.map(np.asarray, both(matrix))
+
+
+def test_what_is_indefinite_has_no_factor(spoilt):
+    size, both = spoilt
+    matrix = np.eye(size)
+    matrix[1, 1] = -1e-3
+    for root in both(matrix):
+        assert np.isnan(root).any()
+
+
+def test_what_is_semidefinite_has_a_square_root(spoilt):
+    """Rank 2: rounding leaves pivots of either sign where exact arithmetic has zeros."""
+    size, both = spoilt
+    for seed in range(20):
+        factor = np.random.default_rng(seed).normal(size=(size, 2)) * [10, 0.1]
+        root = both(factor @ factor.T)[1]
+        np.testing.assert_allclose(root @ root.T, factor @ factor.T, atol=1e-11)
+        np.testing.assert_array_equal(np.triu(root, 1), 0)
+
+
+def test_what_is_known_exactly_does_not_spread(spoilt):
+    size, both = spoilt
+    variances = np.arange(size, dtype=float)
+    root = both(np.diag(variances))[1]
+    np.testing.assert_allclose(root, np.diag(np.sqrt(variances)), rtol=1e-15)
+    np.testing.assert_array_equal(root == 0, np.diag(variances) == 0)
+    np.testing.assert_array_equal(both(np.zeros((size, size)))[1], 0)
+
+
+def test_what_is_not_finite_stays_so(spoilt):
+    size, both = spoilt
+    matrix = np.eye(size)
+    matrix[0, 0] = np.nan
+    for root in both(matrix):
+        assert np.isnan(root).any()
+
+
+def test_symmetric_keeps_the_quadratic_form():
+    matrix, vector = RANDOM.normal(size=(4, 4)), RANDOM.normal(size=4)
+    even = np.asarray(symmetric(jnp.asarray(matrix)))
+    np.testing.assert_array_equal(even, even.T)
+    np.testing.assert_allclose(vector @ even @ vector, vector @ matrix @ vector)
