@@ -109,8 +109,8 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
         found["gap"] / 6 + 1e-12 * (1 + found["size"]),
     )
     require.small(
-        "noise has the same variance however time is cut into steps: it acts for dt, and is drawn "
-        f"with std density / sqrt(dt); {SUBSTEPS // 2} and {SUBSTEPS} steps differ by a quarter",
+        "noise has one variance however time is cut into steps: it acts for dt, is drawn with "
+        f"std density / sqrt(dt); within a quarter in {SUBSTEPS // 2} and {SUBSTEPS} steps",
         found["noise"],
         1e-300,
     )
@@ -146,7 +146,7 @@ def check_sensor(sensor: str | type | AbstractSensor) -> None:
     with _tracing(require, "observe can be traced"):
         seen = jax.eval_shape(lambda point: model.facing(0).observe(point), origin)
         noise = jax.eval_shape(lambda point: model.facing(0).noise_std(point), origin)
-    expected = [(chart.shape, origin_dtype()) for chart in outputs.charts]
+    expected = [(chart.shape, _float()) for chart in outputs.charts]
     _require_layout(
         require, "observe returns what measures says", seen, model.measures, expected
     )
@@ -213,8 +213,8 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
 
     with _tracing(require, "it can be traced, scanned and mapped over runs"):
         found = jax.tree.map(np.asarray, run(log.schedule, batch))
-    for label, estimates in zip(("as it is", "spoilt", "missing"), range(3), strict=True):
-        moments = jax.tree.map(lambda leaf, i=estimates: leaf[i], found.moments)
+    for index, label in enumerate(("as they are", "spoilt", "missing")):
+        moments = _row(found.moments, index)
         require.finite(
             f"the moments are finite, with readings {label}",
             np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(moments)]),
@@ -231,23 +231,20 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
         found="two results",
         expected="one",
     )
-    verdicts = found.outcome.verdict[2]
-    fired = log.schedule.sensor >= 0
+    verdicts = found.outcome.verdict[2][log.schedule.sensor >= 0]
     require(
         "a reading that is missing is not used",
-        bool((verdicts[fired] == Verdict.NOT_FINITE).all()),
-        found=[Verdict(v).name for v in verdicts[fired]],
+        bool((verdicts == Verdict.NOT_FINITE).all()),
+        found=[Verdict(verdict).name for verdict in verdicts],
         expected="NOT_FINITE",
     )
-    alone = jax.tree.map(lambda leaf: leaf[2], run(silent, batch).moments)
-    gone = jax.tree.map(lambda leaf: leaf[2], found.moments)
+    alone, gone = _row((run(silent, batch).moments, found.moments), 2)
     require.small("a missing reading leaves the prediction", _distance(alone, gone), 1e-12)
 
     for index in range(2):
-        one = jax.tree.map(
-            lambda leaf, i=index: leaf[i], (found.moments, found.outcome.verdict)
-        )
-        gap, verdict = _online_gap(model, rig, log._replace(readings=runs[index]), key, *one)
+        moments, verdicts = _row((found.moments, found.outcome.verdict), index)
+        same = log._replace(readings=runs[index])
+        gap, verdict = _online_gap(model, rig, same, key, moments, verdicts)
         require("batch and online give the same verdicts", verdict is None, found=verdict)
         require.small("batch and online agree", gap, 1e-9)
 
@@ -360,8 +357,8 @@ def _require_layout(
     require(law, found == expected, found, expected)
 
 
-def origin_dtype() -> str:
-    """Name of the floats that are computed with: ``float64`` unless 64 bits are switched off."""
+def _float() -> str:
+    """Name of the floats that are computed with."""
     return str(jnp.result_type(float))
 
 
@@ -399,26 +396,31 @@ def _vehicle_figures(
     states, noises = space_of(type(state)), space_of(type(model.noise_density()))
     control, calm = model.drive(time), noises.zeros()
 
-    def step(start: Any, length: Array) -> Any:
-        return model.step(start, control, noises.unflatten(calm), length)
+    def walk(length: Array) -> Any:
+        """The states after one and after two steps."""
 
-    def slopes(start: Any, length: Array, drive: Any) -> tuple[Any, Array, Array]:
-        base = model.step(start, drive, noises.unflatten(calm), length)
+        def body(start: Any, _: None) -> tuple[Any, Any]:
+            after = model.step(start, control, noises.unflatten(calm), length)
+            return after, after
 
-        def end(error: Array, noise: Array) -> Array:
+        return jax.lax.scan(body, state, length=2)[1]
+
+    def slopes(start: Any, length: Array, drive: Any) -> tuple[tuple[Array, Array], Any]:
+        """Jacobians of a step by the error before it and by the noise; the state after it."""
+
+        def end(error: Array, noise: Array) -> tuple[Array, Any]:
             begun = states.boxplus(start, error)
-            return states.boxminus(
-                model.step(begun, drive, noises.unflatten(noise), length), base
-            )
+            after = model.step(begun, drive, noises.unflatten(noise), length)
+            return states.boxminus(after, jax.lax.stop_gradient(after)), after
 
-        return base, *jax.jacfwd(end, (0, 1))(states.zeros(), calm)
+        return jax.jacfwd(end, (0, 1), has_aux=True)(states.zeros(), calm)
 
     def spread(length: Array, drive: Any) -> tuple[Array, Array]:
         """The covariance that noise leaves after each of some steps, and all Jacobians."""
 
         def body(carry: tuple[Any, Array], _: None) -> tuple[Any, Any]:
             start, cov = carry
-            after, slope, effect = slopes(start, length, drive)
+            (slope, effect), after = slopes(start, length, drive)
             scaled = effect * process_std(model, length)[None]
             cov = slope @ cov @ slope.T + scaled @ scaled.T
             return (after, cov), (cov, jnp.concatenate([slope.ravel(), effect.ravel()]))
@@ -428,10 +430,9 @@ def _vehicle_figures(
 
     # Each function is traced once and mapped over all its arguments: that halves the time.
     lengths = jnp.array([0.0, dt, dt / 2, dt / 4])
-    ends = jax.vmap(step, (None, 0))(state, lengths)
-    middles = jax.tree.map(lambda leaf: leaf[2:], ends)
-    halves = jax.vmap(step)(middles, lengths[2:])
-    gaps = jax.vmap(states.boxminus)(jax.tree.map(lambda leaf: leaf[1:3], ends), halves)
+    walks = jax.vmap(walk)(lengths)
+    once, twice = (jax.tree.map(lambda leaf, i=i: leaf[:, i], walks) for i in range(2))
+    gaps = jax.vmap(states.boxminus)(_row(once, slice(1, 3)), _row(twice, slice(2, 4)))
 
     fine = jnp.array([dt, dt / (SUBSTEPS // 2), dt / SUBSTEPS])
     covs, jacobians = jax.vmap(spread)(fine, _stacked([still, control, control]))
@@ -443,7 +444,7 @@ def _vehicle_figures(
         "size": _norm(states.boxminus(state, model.start())),
         "minus of plus": _norm(states.boxminus(moved, state) - error),
         "plus of minus": _norm(states.boxminus(again, moved)),
-        "no time": _norm(states.boxminus(jax.tree.map(lambda leaf: leaf[0], ends), state)),
+        "no time": _norm(states.boxminus(_row(once, 0), state)),
         "gap": _norm(gaps[0]),
         "gap of half the step": _norm(gaps[1]),
         "noise": jnp.abs(few - many) - jnp.maximum(few, many) / 4,
@@ -498,9 +499,8 @@ def _sensor_figures(
 
 
 def _stacked(trees: list[Any]) -> Any:
-    return jax.tree.map(
-        lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *trees
-    )
+    trees = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), trees)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
 def _norm(vector: Array) -> Array:
@@ -510,11 +510,9 @@ def _norm(vector: Array) -> Array:
 def _rigs() -> Iterator[Rig]:
     for name, carried in (("unicycle", "landmarks"), ("constant-velocity", "gnss")):
         vehicle = registry.vehicles.get(name)()
-        start = vehicle.start()
-        sensor = Installation(carried, registry.sensors.get(carried)())
-        yield Rig(
-            vehicle, (sensor,), Gaussian(start, 0.1 * jnp.eye(space_of(type(start)).size))
-        )
+        start, sensor = vehicle.start(), registry.sensors.make(carried)
+        prior = Gaussian(start, 0.1 * jnp.eye(space_of(type(start)).size))
+        yield Rig(vehicle, (Installation(carried, sensor),), prior)
 
 
 def _rig_for(model: AbstractFilter, require: _Require) -> Rig:
@@ -550,7 +548,9 @@ def _spoilt(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
             leaves[place] = flat
         target = np.array(one.target)
         target[2] = -1
-        spoilt.append(Readings(jax.tree.unflatten(structure, leaves), target))
+        spoilt.append(
+            one._replace(measurement=jax.tree.unflatten(structure, leaves), target=target)
+        )
     return tuple(spoilt)
 
 
@@ -564,30 +564,37 @@ def _missing(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
 
 
 def _online_gap(
-    model: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, moments: Any, verdicts: Array
+    model: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, moments: Any, verdicts: Any
 ) -> tuple[float, str | None]:
     """The largest difference of an online run from a batch, and the first other verdict."""
-    (time, sensor, row), controls, readings = log
-    before = jax.tree.map(lambda leaf: leaf[0], controls)
-    online, worst = Estimator(model, rig, key, control=before), 0.0
-    for i in range(len(time)):
-        control = jax.tree.map(lambda leaf, at=min(i + 1, len(time) - 1): leaf[at], controls)
-        name, given = None, Readings(None, 0)  # pyright: ignore[reportArgumentType]
-        if sensor[i] >= 0:
-            name = rig.sensors[sensor[i]].name
-            given = jax.tree.map(lambda leaf, at=row[i]: leaf[at], readings[sensor[i]])
-        answer = online.push(
-            float(time[i]), name, given.measurement, control=control, target=given.target
-        )
-        expected = jax.tree.map(lambda leaf, at=i: leaf[at], moments)
-        worst = max(worst, _distance(answer.moments, expected))
+    controls, readings = log.controls, log.readings
+    count = len(log.schedule.time)
+    following = [*range(1, count), count - 1]
+    online, worst = Estimator(model, rig, key, control=_row(controls, 0)), 0.0
+    for i, (at, fired, place) in enumerate(
+        zip(*(part.tolist() for part in log.schedule), strict=True)
+    ):
+        control = _row(controls, following[i])
+        if fired < 0:
+            answer = online.push(at, control=control)
+        else:
+            one = _row(readings[fired], place)
+            answer = online.push(
+                at,
+                rig.sensors[fired].name,
+                one.measurement,
+                control=control,
+                target=int(one.target),
+            )
+        worst = max(worst, _distance(answer.moments, _row(moments, i)))
         if int(answer.outcome.verdict) != int(verdicts[i]):
             batch = Verdict(int(verdicts[i])).name
-            return (
-                worst,
-                f"{batch} in the batch, {answer.verdict.name} online, at {time[i]:g} s",
-            )
+            return worst, f"{batch} in the batch, {answer.verdict.name} online, at {at:g} s"
     return worst, None
+
+
+def _row(tree: Any, index: int | slice) -> Any:
+    return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
 def _distance(one: Gaussian, other: Gaussian) -> float:

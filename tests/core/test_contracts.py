@@ -14,8 +14,8 @@ from kedge.core.contracts import (
 )
 from kedge.core.quantities import Bearing, Position, Range, Ratio
 from kedge.sensors.landmarks import Landmarks
-from kedge.vehicles.unicycle import State
 from kedge.testing import quick_jit
+from kedge.vehicles.unicycle import State
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_names_and_classes_are_one_to_one(family):
 def test_two_classes_cannot_share_a_name():
     family = Registry("vehicles")
     family.add("boat")(type("Boat", (), {}))
-    with pytest.raises(ContractError, match="two vehicles are called 'boat'.*Ship"):
+    with pytest.raises(ContractError, match=r"two vehicles are called 'boat'.*Ship"):
         family.add("boat")(type("Ship", (), {}))
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+import scipy
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
@@ -128,7 +128,7 @@ def joint(prior=PRIOR):
     return b, A @ sources @ A.T, 2 * np.flatnonzero(SENSOR >= 0)
 
 
-def posterior(prior=PRIOR, upto=len(DT)):
+def posterior(prior=PRIOR, upto=7):
     """All states in the light of the readings at the first ``upto`` events."""
     mean, cov, rows = joint(prior)
     rows = rows[rows < 2 * upto]
@@ -171,7 +171,7 @@ def test_smoother_is_the_joint_posterior(run):
 
 def test_log_likelihood_is_the_log_of_the_joint_density(run):
     mean, cov, rows = joint()
-    density = multivariate_normal(mean[rows], cov[np.ix_(rows, rows)] + np.diag(R))
+    density = scipy.stats.multivariate_normal(mean[rows], cov[np.ix_(rows, rows)] + np.diag(R))
     total = run[0].outcome.log_likelihood.sum()
     np.testing.assert_allclose(total, density.logpdf(READINGS), rtol=1e-10)
 
@@ -221,7 +221,7 @@ def test_dead_reckoning_is_the_joint_prior():
 
 def error_of(filter, keys, exact):
     """RMS distance of a sampling filter's mean from the exact one, over ``keys``."""
-    rig, log = problem()
+    rig, _ = problem()
     state = Gaussian(jax.tree.map(jnp.asarray, rig.prior.mean), jnp.asarray(rig.prior.cov))
     model = rig.sensors[0].sensor
 

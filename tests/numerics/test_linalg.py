@@ -1,4 +1,4 @@
-"""Unrolled factorisations and solves against numpy, on both sides of the library's threshold."""
+"""Factorisations and solves against numpy, unrolled and beyond."""
 
 import jax
 import jax.numpy as jnp

@@ -97,5 +97,5 @@ def test_a_negative_centre_weight_does_not_jump_at_the_seam(heading):
 
 
 def test_affine_only_refuses_a_curve():
-    with pytest.raises(ContractError, match="Place depends nonlinearly.*use 'extended'"):
+    with pytest.raises(ContractError, match=r"Place depends nonlinearly.*use 'extended'"):
         Taylor(affine_only=True).image(to_cartesian, jnp.asarray(POLAR))

@@ -79,7 +79,7 @@ def plot_nis(
     dofs, sizes = np.unique(found.dof, return_counts=True)
     for dof, dash in zip(dofs[np.argsort(-sizes)][:2], ("-", (0, (2, 1.5))), strict=False):
         bound = chi_square_bound(int(dof), 1 - (gate or 0.01))
-        name = f"gate at {style.percent(1 - gate)}" if gate else "99 % of χ²"
+        name = f"gate: {gate:.2g} false alarms" if gate else "99 % of χ²"
         name += f", {dof} component{'s' * int(dof > 1)}" if len(dofs) > 1 else ""
         ax.axhline(bound, color=style.color("gated"), lw=1.0, ls=dash, label=name)
     _draw_mean(ax, found.time[found.fused], found.nis[found.fused], found.dof[found.fused])

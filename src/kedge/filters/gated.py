@@ -67,8 +67,9 @@ class Gated(AbstractFilter[Any]):
         posterior, score = self.inner.update(model, belief, measurement, key)
         sizes = np.arange(score.residual.shape[0] + 1)
         bounds = np.where(sizes > 0, chdtri(np.maximum(sizes, 1), self.false_alarm), np.inf)
-        threshold = jnp.asarray(bounds)[score.dof]
+        # What the inner filter has left out already is its verdict, not the gate's.
+        taken = jnp.asarray(score.accepted)
+        threshold = jnp.where(taken, jnp.asarray(bounds)[score.dof], jnp.inf)
         inside = score.nis <= threshold
         kept = jax.tree.map(lambda new, old: jnp.where(inside, new, old), posterior, belief)
-        accepted = jnp.logical_and(score.accepted, inside)
-        return kept, score._replace(accepted=accepted, threshold=threshold)
+        return kept, score._replace(accepted=taken & inside, threshold=threshold)
