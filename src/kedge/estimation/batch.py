@@ -92,7 +92,7 @@ def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
     return jax.random.key(0) if key is None else key
 
 
-def _scan(
+def pass_over(
     filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
 ) -> tuple[Estimates, Any]:
     """The pass behind the functions above, for callers that batch or compile it themselves.
@@ -138,4 +138,4 @@ def _scan(
     return Estimates(log.schedule.time, moments, outcome), history
 
 
-scan: Any = eqx.filter_jit(_scan)
+scan: Any = eqx.filter_jit(pass_over)

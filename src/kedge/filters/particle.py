@@ -37,7 +37,7 @@ class BootstrapParticle(AbstractFilter[Particles]):
     """
 
     count: int = eqx.field(static=True, default=1000)
-    threshold: float = 0.5
+    threshold: Scalar = 0.5
 
     def __check_init__(self):
         if self.count < 2:

@@ -1,0 +1,78 @@
+"""Many runs of one schedule: Monte Carlo, batched in chunks that the cores share."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Int, PRNGKeyArray
+
+from kedge.core.contracts import AbstractFilter
+from kedge.core.errors import DataError
+from kedge.estimation.batch import Estimates, pass_over
+from kedge.estimation.log import Log
+from kedge.estimation.rig import Rig, as_arrays
+
+CHUNK = 125
+"""Runs batched in one call: enough to fill the vector units, few enough to stay in the cache."""
+
+
+def estimate_runs(
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log,
+    key: PRNGKeyArray | None = None,
+    keep: Callable[[Estimates], Any] = lambda estimates: estimates,
+    chunk: int = CHUNK,
+) -> Any:
+    """Run ``filter`` over logs that share a schedule; results have a leading run axis.
+
+    ``log.controls`` and ``log.readings`` have a leading run axis; ``log.schedule`` has none, so
+    that every branch on the sensor stays a branch. ``keep`` picks inside the traced program what
+    is returned of each run. Run i draws from ``fold_in(key, i)``, whatever the chunk.
+
+    Raises:
+        DataError: there are no runs, or not equally many everywhere.
+    """
+    counts = {leaf.shape[0] for leaf in jax.tree.leaves((log.controls, log.readings))}
+    if len(counts) != 1 or 0 in counts:
+        raise DataError(f"runs: found {sorted(counts)} of them, expected one number above 0")
+    (count,) = counts
+    filter, rig, log = as_arrays((filter, rig, log))
+    key = jr.key(0) if key is None else key
+    begins = range(0, count, chunk)
+
+    def part(begin: int) -> Any:
+        index = jnp.arange(begin, min(begin + chunk, count))
+        own = jax.tree.map(
+            lambda leaf: leaf[begin : begin + chunk], (log.controls, log.readings)
+        )
+        return jax.block_until_ready(
+            _some(filter, rig, Log(log.schedule, *own), index, key, keep)
+        )
+
+    # The first call compiles; then the compiled program runs outside Python's lock.
+    parts = [part(0)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        parts += pool.map(part, begins[1:])
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+@eqx.filter_jit
+def _some(
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log,
+    index: Int[Array, " runs"],
+    key: PRNGKeyArray,
+    keep: Callable[[Estimates], Any],
+) -> Any:
+    def one(run: Int[Array, ""], controls: Any, readings: Any) -> Any:
+        own = Log(log.schedule, controls, readings)
+        return keep(pass_over(filter, rig, own, jr.fold_in(key, run), False)[0])
+
+    return jax.vmap(one)(index, log.controls, log.readings)

@@ -1,0 +1,66 @@
+"""Student-t weights: outliers are weighed down, good readings as ever."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.errors import ContractError
+from kedge.filters.extended import ExtendedKalman
+from kedge.filters.robust import Robust
+from kedge.sensors.gnss import Gnss, Measurement
+from kedge.testing import quick_jit
+from kedge.vehicles.unicycle import Unicycle
+
+PRIOR = Gaussian(Unicycle().start(), 0.5 * jnp.eye(3))
+
+
+@pytest.fixture(scope="module")
+def update():
+    from jax.random import key
+
+    def both(filter, std, place):
+        return filter.update(Gnss(std=std), PRIOR, Measurement(place), key(0))
+
+    robust = quick_jit(lambda dof, place: both(Robust(student_dof=dof), 1.0, place))
+    plain = quick_jit(lambda std, place: both(ExtendedKalman(), std, place))
+    return robust, plain
+
+
+def test_an_outlier_is_fused_with_the_noise_that_its_size_calls_for(update):
+    """S = 1.5 I, so NIS = 36 / 1.5 = 24: R is multiplied by (4 + 24) / (4 + 2)."""
+    robust, plain = update
+    place = np.array([6.0, 0.0])
+    (one, score), (other, _) = robust(4.0, place), plain(np.sqrt(28 / 6), place)
+    np.testing.assert_allclose(one.mean.position, other.mean.position, rtol=1e-12)
+    np.testing.assert_allclose(one.cov, other.cov, rtol=1e-12, atol=1e-15)
+    # What is reported is the innovation under the nominal noise, for gates and tests.
+    np.testing.assert_allclose(score.nis, 24)
+
+
+def test_a_good_reading_is_not_trusted_more_than_its_noise(update):
+    robust, plain = update
+    place = np.array([0.1, -0.2])
+    (one, _), (other, _) = robust(4.0, place), plain(1.0, place)
+    np.testing.assert_allclose(one.cov, other.cov, rtol=1e-14, atol=1e-16)
+
+
+def test_many_degrees_of_freedom_are_gaussian(update):
+    robust, plain = update
+    place = np.array([6.0, 0.0])
+    (one, _), (other, _) = robust(1e12, place), plain(1.0, place)
+    np.testing.assert_allclose(one.mean.position, other.mean.position, rtol=1e-9)
+
+
+def test_the_pull_of_an_outlier_is_bounded(update):
+    """The farther, the less: a Gaussian update would go along for ever."""
+    robust, _ = update
+    pulls = [
+        float(robust(4.0, np.array([x, 0.0]))[0].mean.position[0]) for x in (3.0, 30.0, 3e3)
+    ]
+    assert pulls[0] > pulls[1] > pulls[2] > 0
+
+
+def test_no_tail_is_heavier_than_none():
+    with pytest.raises(ContractError, match="student_dof is 0, must be above 0"):
+        Robust(student_dof=0.0)

@@ -1,0 +1,95 @@
+"""Slow quantities beside a vehicle's state."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import space
+from kedge.sensors.gnss import Gnss
+from kedge.sensors.landmarks import Landmarks
+from kedge.testing import quick_jit
+from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.constant_velocity import ConstantVelocity
+from kedge.vehicles.unicycle import Control, Unicycle
+
+SLOW = {
+    "speed_scale": Wander(0.05),
+    "range_scale": Wander(0.01, time_constant=2.0),
+    "bearing_bias": Wander(),
+}
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return augment(Unicycle(speed_scale=1.2), SLOW, (Landmarks(),))
+
+
+def test_state_and_noise_are_wider_by_the_slow_quantities(vehicle):
+    start = vehicle.start()
+    names = ("position_x", "position_y", "heading", *SLOW)
+    assert space(start).labels == names
+    assert space(start).units[3:] == ("1", "1", "rad")
+    # Nominal values: the vehicle's own parameter, the sensor's defaults.
+    assert tuple(map(float, start[2:])) == (1.2, 1.0, 0.0)
+    density = vehicle.noise_density()
+    np.testing.assert_allclose([float(d) for d in density], [0.1, 0.02, 0.05, 0.01, 0.0])
+
+
+def test_without_slow_quantities_it_is_the_vehicle_itself():
+    vehicle = Unicycle()
+    assert augment(vehicle, {}, ()) is vehicle
+
+
+def test_a_slow_quantity_takes_the_place_of_the_parameter(vehicle):
+    @quick_jit
+    def both(scale):
+        control, calm = Control(2.0, 0.3), space(vehicle.noise_density())
+        state = vehicle.start()._replace(speed_scale=scale)
+        one = vehicle.step(state, control, calm.unflatten(calm.zeros()), 0.5)
+        plain = Unicycle(speed_scale=scale)
+        return one, plain.step(plain.start(), control, Control(0.0, 0.0), 0.5)
+
+    one, other = both(0.7)
+    np.testing.assert_allclose(one.position, other.position, rtol=1e-15)
+    assert one.speed_scale == 0.7
+
+
+def test_a_time_constant_draws_back_to_the_nominal_value(vehicle):
+    @quick_jit
+    def after(scale, noise):
+        density = space(vehicle.noise_density())
+        state = vehicle.start()._replace(range_scale=scale)
+        return vehicle.step(state, Control(0.0, 0.0), density.unflatten(noise), 2.0)
+
+    calm = after(1.5, np.zeros(5))
+    np.testing.assert_allclose(calm.range_scale, 1 + 0.5 * np.exp(-1))
+    # Drawn with std walk / sqrt(dt) and held for dt: variance walk^2 dt.
+    pushed = after(1.5, np.array([0, 0, 0, 0.01 / np.sqrt(2.0), 0]))
+    np.testing.assert_allclose(pushed.range_scale - calm.range_scale, 0.01 * np.sqrt(2.0))
+
+
+def test_the_state_type_is_one_for_equal_arguments(vehicle):
+    again = augment(Unicycle(), SLOW, (Landmarks(),))
+    assert type(again.start()) is type(vehicle.start())
+    assert jax.tree.structure(again.start()) == jax.tree.structure(vehicle.start())
+
+
+@pytest.mark.parametrize(
+    ("model", "slow", "message"),
+    [
+        (Unicycle(), "speed_scal", r"'speed_scal' is neither .* there are .*speed_scale"),
+        (Unicycle(), "heading", "'heading' is in the vehicle's state already"),
+        (ConstantVelocity(), "speed_scale", "there are acceleration_noise, bearing_bias"),
+    ],
+)
+def test_a_slow_quantity_that_nothing_reads_is_refused(model, slow, message):
+    with pytest.raises(ContractError, match=message):
+        augment(model, {slow: Wander()}, (Gnss(), Landmarks()))
+
+
+def test_a_reading_with_a_wrong_scale_is_told_by_the_state(vehicle):
+    state = vehicle.start()._replace(position=jnp.array([17.0, 26.0]), range_scale=1.1)
+    seen = quick_jit(lambda s: Landmarks().facing(0).expect(s))(state)
+    np.testing.assert_allclose(seen.range, 1.1 * 5)  # the landmark stands 3 m east, 4 m north

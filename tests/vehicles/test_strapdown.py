@@ -1,0 +1,67 @@
+"""Inertial navigation against motions that are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kedge.testing import quick_jit
+from kedge.vehicles.strapdown import GRAVITY, Imu, State, Strapdown
+
+CALM = Imu(jnp.zeros(3), jnp.zeros(3))
+
+
+def path(start, imu, dt, count):
+    """The state after ``count`` steps under what ``imu(time)`` measures."""
+
+    @quick_jit
+    def end():
+        def body(state, time):
+            # What is measured in the middle of the step stands for it.
+            return Strapdown().step(state, imu(time + dt / 2), CALM, dt), None
+
+        return jax.lax.scan(body, start, jnp.arange(count) * dt)[0]
+
+    return end()
+
+
+def level(speed):
+    return State(jnp.zeros(3), jnp.array([speed, 0.0, 0.0]), jnp.array([1.0, 0.0, 0.0, 0.0]))
+
+
+def test_what_falls_freely_feels_nothing():
+    after = path(level(2.0), lambda _: CALM, 0.1, 20)
+    np.testing.assert_allclose(after.position, [4, 0, GRAVITY[2] * 2], rtol=1e-12)
+    np.testing.assert_allclose(after.velocity, [2, 0, GRAVITY[2] * 2], rtol=1e-12)
+
+
+def test_a_circle_at_constant_speed():
+    """Heading and velocity turn together; the force towards the centre is v times the rate."""
+    rate, speed, dt, count = 0.5, 3.0, 0.01, 400
+    imu = Imu(jnp.array([0.0, speed * rate, -GRAVITY[2]]), jnp.array([0.0, 0.0, rate]))
+    after = path(level(speed), lambda _: imu, dt, count)
+    turn = rate * dt * count
+    radius = speed / rate
+    place = radius * np.array([np.sin(turn), 1 - np.cos(turn), 0.0])
+    np.testing.assert_allclose(after.position, place, atol=1e-5)
+    np.testing.assert_allclose(
+        after.velocity, speed * np.array([np.cos(turn), np.sin(turn), 0]), atol=1e-5
+    )
+    expected = [np.cos(turn / 2), 0, 0, np.sin(turn / 2)]
+    np.testing.assert_allclose(after.attitude, expected, atol=1e-12)
+
+
+def test_attitude_composes_the_turns_of_the_body():
+    """A turn about a body axis that moves: the product of all small rotations, by scipy."""
+
+    def rate(time, stack):
+        return stack([0.3 * time, 0.5 + 0.0 * time, 0.2 - 0.4 * time])
+
+    dt, count = 0.01, 300
+    after = path(level(0.0), lambda time: Imu(jnp.zeros(3), rate(time, jnp.stack)), dt, count)
+    middle = (np.arange(count) + 0.5) * dt
+    expected = Rotation.identity()
+    for time in middle:
+        expected = expected * Rotation.from_rotvec(rate(time, np.array) * dt)
+    found = Rotation.from_quat(np.asarray(after.attitude)[[1, 2, 3, 0]])
+    assert (expected.inv() * found).magnitude() < 1e-12
