@@ -41,7 +41,7 @@ def print_catalogue(found: dict[str, dict[str, Any]]) -> None:
             title = f"  [cyan]{name:20s}[/cyan]"
             console.print(title, about["summary"])
             settings = [
-                f"{key}={_plain(value['default'])}{' ' + value['unit'] if value['unit'] else ''}"
+                f"{key}={_plain(value['default'])} {value['unit']}".rstrip()
                 for key, value in about.get("parameters", {}).items()
             ]
             if settings:

@@ -73,8 +73,8 @@ class Estimator:
         if time < self.time:
             late = silence(width)._replace(verdict=jnp.asarray(Verdict.LATE))
             return Answer(_moments(self.belief), late)
-        self._events += 1
-        predict_key, update_key = _keys(self._key, self._events)
+        count = self._events + 1
+        predict_key, update_key = _keys(self._key, count)
         dt = jnp.asarray(time - self.time, float)
         belief, outcome = (
             _advance(
@@ -88,9 +88,10 @@ class Estimator:
             belief, outcome = _take_in(
                 self._filter, installation, belief, reading, update_key, width
             )
+        # Only now, so that an event that raises has changed nothing.
         if control is not None:
             self._control = as_arrays(control)
-        self.belief, self.time = belief, float(time)
+        self.belief, self.time, self._events = belief, float(time), count
         return Answer(_moments(belief), outcome)
 
 

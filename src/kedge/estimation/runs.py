@@ -18,7 +18,7 @@ from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig, as_arrays
 
 CHUNK = 125
-"""Runs batched in one call: enough to fill the vector units, few enough to stay in the cache."""
+"""Runs batched in one call: enough for the vector units, few enough for the cache."""
 
 
 def estimate_runs(
@@ -31,9 +31,9 @@ def estimate_runs(
 ) -> Any:
     """Run ``filter`` over logs that share a schedule; results have a leading run axis.
 
-    ``log.controls`` and ``log.readings`` have a leading run axis; ``log.schedule`` has none, so
-    that every branch on the sensor stays a branch. ``keep`` picks inside the traced program what
-    is returned of each run. Run i draws from ``fold_in(key, i)``, whatever the chunk.
+    ``log.controls`` and ``log.readings`` have a leading run axis; ``log.schedule`` has none,
+    so that every branch on the sensor stays a branch. ``keep`` picks inside the traced program
+    what is returned of each run. Run i draws from ``fold_in(key, i)``, whatever the chunk.
 
     Raises:
         DataError: there are no runs, or not equally many everywhere.

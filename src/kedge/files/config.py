@@ -17,6 +17,7 @@ from kedge.core.errors import ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import Registry, sensors, unknown, vehicles
 from kedge.files.models import build_filter, components, parameters_of
+from kedge.files.plugins import load_modules
 from kedge.files.toml import Strict, read_toml
 
 __all__ = ["RigConfig", "build_filter", "load_rig_config", "rig_schema", "shipped_rigs"]
@@ -165,6 +166,8 @@ class RigConfig(Strict):
 
     title: str = ""
     format: str = "folder"
+    modules: list[str] = []
+    """Python files with vehicles, sensors and filters of your own, relative to this file."""
     vehicle: VehicleConfig
     control: ControlConfig | None = None
     sensors: dict[str, SensorConfig] = {}
@@ -271,6 +274,7 @@ def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> Rig
     """
     path = Path(rig)
     if path.suffix == ".toml" or len(path.parts) > 1:
+        load_modules(path)
         config = read_toml(path, RigConfig, overrides)
     elif rig not in shipped_rigs():
         raise UnknownName(unknown("rig", rig, shipped_rigs()))
