@@ -2,7 +2,6 @@
 
 from typing import Annotated, Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -11,91 +10,68 @@ import pytest
 import scipy
 
 from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.contracts import AbstractSensor
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Euclidean
 from kedge.core.verdicts import Verdict
-from kedge.estimation.batch import estimate
-from kedge.estimation.log import Log, Readings, Schedule
-from kedge.estimation.rig import Installation, Rig
+from kedge.estimation.log import Readings
+from kedge.estimation.rig import Installation
+from kedge.estimation.step import take_in
 from kedge.filters.extended import ExtendedKalman
 from kedge.filters.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import Unicycle
 
-SIZES = (1, 2, 3, 6)
-FALSE_ALARM = {1: 0.01, 2: 0.05, 3: 0.01, 6: 0.001}
 RUNS = 40_000
 
-Block = {n: Annotated[Any, Euclidean("m", (n,))] for n in SIZES}
-State = NamedTuple("State", [(f"block{n}", Block[n]) for n in SIZES])
-Seen = {n: NamedTuple(f"Seen{n}", [(f"block{n}", Block[n])]) for n in SIZES}
+
+class State(NamedTuple):
+    offset: Annotated[Any, Euclidean("m", (6,))]
 
 
-class Drift(AbstractVehicle[State, tuple, State]):
-    """Blocks of 1, 2, 3 and 6 components that wander apart."""
+class Gauge(AbstractSensor[State]):
+    """Reads all six components."""
 
-    def step(self, state, control, noise, dt):
-        return State(*(block + push * dt for block, push in zip(state, noise, strict=True)))
-
-    def noise_density(self):
-        return State(*(jnp.full(n, 0.7) for n in SIZES))
-
-    def start(self):
-        return State(*(jnp.zeros(n) for n in SIZES))
-
-    def drive(self, time):
-        return ()
-
-
-class Gauge(AbstractSensor[Any]):
-    """Reads one block."""
-
-    size: int = eqx.field(static=True)
-
-    @property
-    def reads(self):
-        return Seen[self.size]
-
-    measures = reads
+    reads = State
+    measures = State
 
     def observe(self, state):
         return state
 
     def noise_std(self, state):
-        return Seen[self.size](jnp.full(self.size, 0.5))
+        return State(jnp.array([0.1, 0.5, 1.0, 2.0, 0.3, 1.5]))
 
 
 def test_false_alarms_come_at_the_rate_asked_for():
-    """Every reading is matched: drawn from the model, each of a block that no other reads.
+    """Matched readings: drawn from a correlated prior and the gauge's own noise.
 
-    The number refused of so many independent ones is binomial; its 99 % bounds are those of
-    scipy. The reading of 6 components goes through a gate with a rarer alarm.
+    The number refused of so many independent ones is binomial; its 99 % bounds are scipy's. A
+    reading of 1, 2 or 3 components is one of 6 with the others missing, as in a log.
     """
-    installations = tuple(
-        Installation(f"gauge{n}", Gauge(n), gate=FALSE_ALARM[n]) for n in SIZES
-    )
-    rig = Rig(Drift(), installations, Gaussian(Drift().start(), 2.0 * jnp.eye(12)))
-    events = len(SIZES)
-    schedule = Schedule(jnp.ones(events), jnp.arange(events), jnp.zeros(events, int))
+    factor = np.random.default_rng(1).normal(size=(6, 6))
+    prior = Gaussian(State(jnp.zeros(6)), jnp.asarray(factor @ factor.T))
+    gauge = Installation("gauge", Gauge(), gate=0.01)
+    spread = jnp.linalg.cholesky(prior.cov + gauge.noise_cov(prior.mean, jnp.asarray(0)))
 
-    def verdicts(key):
-        draws = jr.split(key, events)
-        readings = []
-        for n, draw in zip(SIZES, draws, strict=True):
-            # The prior, a second of wandering, and the gauge's own noise.
-            std = np.sqrt(2.0 + 0.7**2 + 0.5**2)
-            readings.append(Readings(Seen[n](std * jr.normal(draw, (1, n))), jnp.zeros(1, int)))
-        log = Log(schedule, (), tuple(readings))
-        return estimate(ExtendedKalman(), rig, log).outcome.verdict
+    @quick_jit
+    @jax.vmap
+    @jax.vmap
+    def verdict(white, present):
+        seen = State(jnp.where(present, spread @ white, jnp.nan))
+        reading = Readings(seen, jnp.asarray(0))
+        _, outcome = take_in(ExtendedKalman(), gauge, prior, reading, jr.key(0), 6)
+        return outcome.verdict, outcome.dof
 
-    found = np.asarray(quick_jit(jax.vmap(verdicts))(jr.split(jr.key(5), RUNS)))
-    assert set(np.unique(found)) == {Verdict.FUSED, Verdict.GATED}
-    for i, n in enumerate(SIZES):
-        refused = int((found[:, i] == Verdict.GATED).sum())
-        low, high = scipy.stats.binom(RUNS, FALSE_ALARM[n]).ppf([0.005, 0.995])
-        assert low <= refused <= high, f"{n} degrees of freedom"
+    patterns = np.array([[0, 0, 1, 0, 0, 0], [1, 0, 0, 0, 1, 0], [0, 1, 0, 1, 1, 0], [1] * 6])
+    draws = np.random.default_rng(2).normal(size=(4, RUNS, 6))
+    found, dof = verdict(draws, np.broadcast_to(patterns[:, None] == 1, draws.shape))
+    np.testing.assert_array_equal(dof[:, 0], [1, 2, 3, 6])
+    refused = (np.asarray(found) == Verdict.GATED).sum(axis=1)
+    assert ((np.asarray(found) == Verdict.FUSED).sum(axis=1) == RUNS - refused).all()
+    low, high = scipy.stats.binom(RUNS, 0.01).ppf([0.005, 0.995])
+    assert (low <= refused).all(), refused
+    assert (refused <= high).all(), refused
 
 
 @pytest.mark.parametrize("false_alarm", [0.2, 0.01, 1e-6])

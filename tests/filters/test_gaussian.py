@@ -126,7 +126,10 @@ def test_unscented_refuses_parameters_without_points():
 def test_dead_reckoning_scores_and_keeps(key):
     prior = Gaussian(unicycle.Unicycle().start(), 3.0 * jnp.eye(3))
     fix = Measurement(jnp.array([1.0, 2.0]))
-    kept, innovation = filters.make("dead-reckoning").update(Gnss(std=1.0), prior, fix, key)
-    assert kept is prior
+    kept, innovation = quick_jit(
+        lambda prior, fix: filters.make("dead-reckoning").update(Gnss(std=1.0), prior, fix, key)
+    )(prior, fix)
+    np.testing.assert_array_equal(kept.cov, prior.cov)
+    np.testing.assert_array_equal(kept.mean.position, prior.mean.position)
     np.testing.assert_allclose(innovation.nis, 5 / 4)
     assert not innovation.accepted

@@ -17,7 +17,9 @@ def scores(data):
         pytest.skip("KEDGE_DATA has no mrclam/MRCLAM_Dataset7")
     found = {}
     for robot in range(1, 6):
-        runs = run_filters(load_problem("mrclam", f"{folder}#{robot}"), NAMES, 0, lambda _: None)
+        runs = run_filters(
+            load_problem("mrclam", f"{folder}#{robot}"), NAMES, 0, lambda _: None
+        )
         found[robot] = {run.name: run.scores for run in runs}
     return found
 
@@ -54,6 +56,8 @@ def test_no_robot_is_worse_than_the_reference_by_hand(scores):
 
 
 def test_misread_codes_are_gated_and_unknown_ones_named(scores):
-    verdicts = {r: row["extended"]["sensors"]["camera"]["verdicts"] for r, row in scores.items()}
+    verdicts = {
+        r: row["extended"]["sensors"]["camera"]["verdicts"] for r, row in scores.items()
+    }
     assert verdicts[3]["UNKNOWN_TARGET"] == 9
     assert all(v.get("GATED", 0) <= 10 for v in verdicts.values())

@@ -34,7 +34,9 @@ def test_a_unicycle_drives_on_circles():
     with np.errstate(invalid="ignore"):
         chord = np.where(turn == 0, 1.6, 1.6 * np.expm1(1j * turn) / (1j * turn))
     place = 1 - 1j + chord * np.exp(0.5j)
-    np.testing.assert_allclose(np.asarray(after.position) @ [1, 1j], place, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(
+        np.asarray(after.position) @ [1, 1j], place, rtol=1e-14, atol=1e-14
+    )
     np.testing.assert_allclose(
         np.exp(1j * after.heading), np.exp(1j * (0.5 + turn)), rtol=1e-13
     )

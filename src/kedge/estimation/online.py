@@ -46,7 +46,7 @@ class Estimator:
         self._key = jax.random.key(0) if key is None else key
         self._filter, self._rig = as_arrays((filter, rig))
         still = jax.tree.map(jnp.zeros_like, as_arrays(rig.vehicle.drive(0.0)))
-        self._control = still if control is None else as_arrays(control)
+        self._control = still if control is None else _floats(control)
         self._events = 0
         self.belief = _init(self._filter, self._rig.prior, _keys(self._key, 0)[0])
         self.time = float(start)
@@ -84,15 +84,21 @@ class Estimator:
         )
         if sensor is not None:
             installation = self._rig.sensors[self._rig.index(sensor)]
-            reading = Readings(*as_arrays((measurement, target, cov)))
+            seen, spread = _floats((measurement, cov))
+            reading = Readings(seen, jnp.asarray(target), spread)
             belief, outcome = _take_in(
                 self._filter, installation, belief, reading, update_key, width
             )
         # Only now, so that an event that raises has changed nothing.
         if control is not None:
-            self._control = as_arrays(control)
+            self._control = _floats(control)
         self.belief, self.time, self._events = belief, float(time), count
         return Answer(_moments(belief), outcome)
+
+
+def _floats(tree: Any) -> Any:
+    """Arrays of one type, whatever type of number a driver has at hand."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
 
 
 # Compiled, because an operation that is not costs as much as an event.

@@ -1,0 +1,254 @@
+"""The scan over a log: same bytes, one program, real branches."""
+
+import os
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.random as jr
+import numpy as np
+import pytest
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.errors import ContractError, DataError
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import estimate, estimate_with_history
+from kedge.estimation.rig import Installation, Mount, Rig
+from kedge.estimation.runs import estimate_runs
+from kedge.filters.ensemble import EnsembleKalman
+from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gated import Gated
+from kedge.sensors.gnss import Gnss
+from kedge.sensors.landmarks import Landmarks
+from kedge.testing import quick_jit
+from kedge.vehicles.unicycle import Unicycle
+
+
+def contents(tree):
+    return b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(tree))
+
+
+def test_the_same_log_gives_the_same_bytes(rig, log, key):
+    filter = EnsembleKalman(count=5)
+    run = quick_jit(
+        lambda readings, key: estimate(filter, rig, log._replace(readings=readings), key)
+    )
+    once, again, other = (contents(run(log.readings, k)) for k in (key, key, jr.key(99)))
+    assert once == again
+    assert once != other, "it does draw"
+
+
+PROGRAM = """
+import hashlib, jax, numpy as np
+from kedge import Gaussian, Installation, Rig, Scenario, estimate, make_filter, make_sensor
+from kedge import make_vehicle, record
+vehicle = make_vehicle("unicycle")
+sensors = tuple(Installation(name, make_sensor(name)) for name in ("gnss", "landmarks"))
+rig = Rig(vehicle, sensors, Gaussian(vehicle.start(), 0.1 * np.eye(3)))
+recording, _ = record(Scenario(rig, duration=5.0), jax.random.key(1))
+found = estimate(make_filter("ensemble", count=10), rig, recording.log)
+parts = [np.asarray(x).tobytes() for x in jax.tree.leaves(found)]
+print(hashlib.sha256(b"".join(parts)).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_bytes():
+    """Nothing depends on the order of hashes, nor on what ran before."""
+    digests = set()
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        digests.add(done.stdout)
+    assert len(digests) == 1
+
+
+TRACED = []
+
+
+class Counted(Unicycle):
+    """A unicycle that counts how often it is traced."""
+
+    def step(self, state, control, noise, dt):
+        TRACED.append(state)
+        return super().step(state, control, noise, dt)
+
+
+def test_a_changed_number_compiles_nothing(log):
+    """A sweep over noise, geometry, prior or readings is one program."""
+
+    def run(speed_noise, std, lever, spread, shift):
+        mount = Mount(lever, 0.0, 0.0)
+        sensors = (
+            Installation("gnss", Gnss(std=std), mount=mount),
+            Installation("camera", Landmarks(range_std=std)),
+        )
+        vehicle = Counted(speed_noise=speed_noise)
+        rig = Rig(vehicle, sensors, Gaussian(vehicle.start(), spread * np.eye(3)))
+        moved = jax.tree.map(lambda leaf: leaf + shift, log.readings[0].measurement)
+        readings = (log.readings[0]._replace(measurement=moved), log.readings[1])
+        return estimate(ExtendedKalman(), rig, log._replace(readings=readings)).moments
+
+    first = run(0.1, 1.0, 0.0, 0.1, 0.0)
+    count = len(TRACED)
+    assert count > 0
+    varied = [
+        run(0.2, 1.0, 0.0, 0.1, 0.0),
+        run(0.1, 1.5, 0.0, 0.1, 0.0),
+        run(0.1, 1.0, 0.4, 0.1, 0.0),
+        run(0.1, 1.0, 0.0, 0.3, 0.0),
+        run(0.1, 1.0, 0.0, 0.1, 0.5),
+    ]
+    assert len(TRACED) == count
+    # All of them matter.
+    assert len({contents(first), *map(contents, varied)}) == 6
+
+
+def runs_of(log, count):
+    """Readings of some runs that share a schedule."""
+    random = np.random.default_rng(0)
+
+    def shaken(leaf):
+        shift = 0.1 * random.normal(size=(count, *leaf.shape))
+        return leaf[None] + (shift if leaf.dtype == float else 0 * shift.astype(int))
+
+    return jax.tree.map(shaken, log.readings)
+
+
+@pytest.fixture(scope="module")
+def batched(rig, log):
+    """Runs in a batch, with a shared schedule; and the program."""
+
+    def one(schedule, readings):
+        return estimate(
+            ExtendedKalman(), rig, log._replace(schedule=schedule, readings=readings)
+        )
+
+    def compiled(axis, schedule, readings):
+        options = {"xla_backend_optimization_level": 0}
+        program = jax.jit(jax.vmap(one, (axis, 0)), compiler_options=options)
+        return program.lower(schedule, readings).compile()
+
+    readings = runs_of(log, 4)
+    shared = compiled(None, log.schedule, readings)
+    return compiled, readings, shared, shared(log.schedule, readings)
+
+
+def conditionals(program):
+    return program.as_text().count(" conditional(")
+
+
+def test_a_shared_schedule_keeps_its_branches(log, batched):
+    """The predict and the choice of the sensor; a batched schedule would run every branch."""
+    compiled, readings, shared, _ = batched
+    assert conditionals(shared) >= 2
+    copies = jax.tree.map(lambda leaf: np.stack([leaf] * 4), log.schedule)
+    assert conditionals(compiled(0, copies, readings)) == 0
+
+
+def test_runs_in_a_batch_are_the_runs_alone(rig, log, batched):
+    """In chunks too: each run is the same, whatever it is run beside."""
+    _, readings, _, found = batched
+    controls = jax.tree.map(lambda leaf: np.stack([leaf] * 4), log.controls)
+    chunked = estimate_runs(
+        ExtendedKalman(), rig, log._replace(controls=controls, readings=readings), chunk=2
+    )
+    run = quick_jit(lambda some: estimate(ExtendedKalman(), rig, log._replace(readings=some)))
+    for i in range(4):
+        alone = run(jax.tree.map(lambda leaf, i=i: leaf[i], readings))
+        for together in (found, chunked):
+            for a, b in zip(*map(jax.tree.leaves, (alone, together)), strict=True):
+                np.testing.assert_allclose(
+                    a, b[i] if np.ndim(b) > np.ndim(a) else b, rtol=1e-9, atol=1e-11
+                )
+
+
+@pytest.mark.slow
+def test_the_chunk_changes_no_draw(rig, log, key):
+    filter = EnsembleKalman(count=5)
+    many = log._replace(
+        controls=jax.tree.map(lambda leaf: np.stack([leaf] * 3), log.controls),
+        readings=runs_of(log, 3),
+    )
+    means = [
+        estimate_runs(filter, rig, many, key, lambda e: e.moments.cov, chunk)
+        for chunk in (1, 2, 3)
+    ]
+    np.testing.assert_allclose(means[0], means[2], rtol=1e-9)
+    np.testing.assert_allclose(means[1], means[2], rtol=1e-9)
+    alone = estimate(
+        filter,
+        rig,
+        jax.tree.map(lambda leaf: leaf[2], many._replace(schedule=()))._replace(
+            schedule=log.schedule
+        ),
+        jr.fold_in(key, 2),
+    )
+    np.testing.assert_allclose(alone.moments.cov, means[0][2], rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_runs_are_equally_many_everywhere(rig, log, count):
+    controls = jax.tree.map(lambda leaf: np.stack([leaf] * 2), log.controls)
+    readings = jax.tree.map(
+        lambda leaf: np.zeros((count, *leaf.shape), leaf.dtype), log.readings
+    )
+    with pytest.raises(DataError, match=rf"runs: found \[{min(2, count)}, {max(2, count)}\]"):
+        estimate_runs(ExtendedKalman(), rig, log._replace(controls=controls, readings=readings))
+
+
+def test_an_event_out_of_order_is_late_and_changes_nothing(rig, log):
+    """navlie's guard fuses such a reading as if it were current."""
+    schedule = log.schedule
+    place = int(np.flatnonzero(schedule.sensor == 0)[2])
+    run = quick_jit(
+        lambda schedule: estimate(ExtendedKalman(), rig, log._replace(schedule=schedule))
+    )
+    before = schedule.time.copy()
+    before[place] -= 1.0
+    late = run(schedule._replace(time=before))
+    # The same events, but for that reading.
+    silent, at = schedule.sensor.copy(), schedule.time.copy()
+    silent[place], at[place] = -1, at[place - 1]
+    missing = run(schedule._replace(sensor=silent, time=at))
+    assert int(late.outcome.verdict[place]) == Verdict.LATE
+    assert (np.delete(late.outcome.verdict, place) != Verdict.LATE).all()
+    assert contents(late.moments) == contents(missing.moments)
+
+
+def test_a_sensor_that_never_fires(rig, log):
+    """A part of a log may hold no reading of one of the sensors."""
+    none = jax.tree.map(lambda leaf: leaf[:0], log.readings[1])
+    sensor = np.where(log.schedule.sensor == 1, -1, log.schedule.sensor)
+    schedule = log.schedule._replace(sensor=sensor)
+    run = quick_jit(lambda log: estimate(ExtendedKalman(), rig, log))
+    found = run(log._replace(schedule=schedule, readings=(log.readings[0], none)))
+    expected = run(log._replace(schedule=schedule))
+    np.testing.assert_allclose(found.moments.cov, expected.moments.cov, rtol=1e-12)
+
+
+def test_only_gaussians_can_be_smoothed(rig, log):
+    for filter in (EnsembleKalman(), Gated()):
+        with pytest.raises(ContractError, match="cannot be smoothed: it carries no Gaussian"):
+            estimate_with_history(filter, rig, log)
+
+
+def test_history_changes_no_estimate(rig, log):
+    @quick_jit
+    def both(readings):
+        given = log._replace(readings=readings)
+        plain = estimate(ExtendedKalman(), rig, given)
+        return plain.moments, estimate_with_history(ExtendedKalman(), rig, given)[0].moments
+
+    plain, kept = both(log.readings)
+    for a, b in zip(*map(jax.tree.leaves, (plain, kept)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+    assert eqx.tree_equal(*map(jax.tree.structure, (plain, kept)))
