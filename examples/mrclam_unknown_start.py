@@ -1,4 +1,4 @@
-"""MRCLAM dataset 7 with an unknown start: how long until the pose is found, and by which filter.
+"""MRCLAM dataset 7 with an unknown start: how long until the pose is found, by which filter.
 
     python examples/mrclam_unknown_start.py [FOLDER] [--until 120] [--robots 1,2,3,4,5]
 

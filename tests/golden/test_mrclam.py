@@ -34,7 +34,7 @@ def mean(scores, name, *path):
     return float(np.mean(values))
 
 
-# Bands of 10 % about what was measured on 2026-11-22: compilers and libraries move the last digits.
+# Bands of 10 % about what was measured: compilers and libraries move the last digits.
 @pytest.mark.parametrize(
     ("name", "expected"), [("extended", 0.0660), ("extended+smoother", 0.0388)]
 )
