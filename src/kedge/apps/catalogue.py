@@ -38,15 +38,23 @@ def print_catalogue(found: dict[str, dict[str, Any]]) -> None:
     for family, table in found.items():
         console.print(f"[bold]{family}[/bold]")
         for name, about in table.items():
-            title = f"  [cyan]{name:20s}[/cyan]"
-            console.print(title, about["summary"])
+            console.print(f"  {name:20s}", style="cyan", end=" ")
+            console.print(about["summary"], markup=False, soft_wrap=True)
             settings = [
-                f"{key}={_plain(value['default'])} {value['unit']}".rstrip()
+                f"{key}={_plain(value['default'])} {value['unit']}".removesuffix(" 1").rstrip()
                 for key, value in about.get("parameters", {}).items()
             ]
             if settings:
-                console.print(f"  {'':20s} {', '.join(settings)}", style="dim", markup=False)
+                _detail(console, ", ".join(settings))
+            for key in ("state", "control", "reads", "reads_if_present", "measurement"):
+                if about.get(key):
+                    parts = ", ".join(f"{n} ({unit})" for n, unit in about[key].items())
+                    _detail(console, f"{key.replace('_', ' ')}: {parts}")
         console.print()
+
+
+def _detail(console: Any, text: str) -> None:
+    console.print(f"  {'':20s} {text}", style="dim", markup=False, soft_wrap=True)
 
 
 def _plain(value: Any) -> Any:

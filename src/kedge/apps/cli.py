@@ -1,10 +1,10 @@
 """The command line. Commands import what they need when they run, so ``--help`` is quick."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from kedge import __version__
@@ -204,22 +204,16 @@ def _finish(
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
     try:
-        code = app(standalone_mode=False)
-    except click.exceptions.Abort:
-        code = 130
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        code = 130
-    except click.ClickException as error:
-        error.show()
-        code = error.exit_code
+        app()
     except ThresholdMissed as error:
         print(f"kedge: {error}", file=sys.stderr)
-        code = 3
+        sys.exit(3)
     except KedgeError as error:
         print(f"kedge: {error}", file=sys.stderr)
-        code = 2
-    sys.exit(code if isinstance(code, int) else 0)
+        sys.exit(2)
+    except BrokenPipeError:
+        # `kedge list | head`: the reader has seen enough; nothing is left to flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

@@ -42,7 +42,10 @@ def load(
     overrides = dict(_setting(text) for text in changes or [])
     with progress() as say:
         say(f"reading {log}")
-        return load_problem(rig, log, truth=truth, until=until, overrides=overrides)
+        problem = load_problem(rig, log, truth=truth, until=until, overrides=overrides)
+    for note in problem.notes:
+        print(f"note: {note}", file=sys.stderr)
+    return problem
 
 
 def execute(
@@ -194,6 +197,8 @@ def _against_baseline(runs: Sequence[Run]) -> None:
     """Position RMSE as a ratio to dead reckoning, if that is among the runs."""
     base = next((run for run in runs if run.name == BASELINE and run.errors), None)
     if base is None or "position" not in base.scores["rmse"]:
+        return
+    if not base.scores["rmse"]["position"] > 0:
         return
     for run in runs:
         ratio = run.scores["rmse"]["position"] / base.scores["rmse"]["position"]

@@ -80,7 +80,7 @@ class SensorConfig(Strict):
     map: str | None = None
     ignore_targets: list[str] = []
     parameters: dict[str, Finite] = {}
-    latency: Finite = 0.0
+    latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
     rate: Positive | None = None
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
     student_dof: Positive | None = None
@@ -186,8 +186,8 @@ class RigConfig(Strict):
         """A control or a prior that does not fit the vehicle."""
         try:
             vehicle = vehicles.get(self.vehicle.model)(**self.vehicle.parameters)
-        except ContractError as error:
-            yield f"vehicle.parameters: {error}"
+        except (ContractError, TypeError) as error:
+            yield f"vehicle.model: {error}"
             return
         driven = list(components(type(vehicle.drive(0.0))))
         if driven and self.control is None:

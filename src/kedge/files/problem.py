@@ -32,6 +32,10 @@ from kedge.files.readings import (
 from kedge.files.tables import Table, require_finite
 from kedge.vehicles.augmented import Wander, augment
 
+MOST_OUTPUTS = 5e6
+"""More estimates than this in one log is a wrong stamp rather than a long drive."""
+SILENCE = 2.0  # s without a control that a user should hear of
+
 
 class Source(NamedTuple):
     """Where a sensor's readings come from, in the order of its readings."""
@@ -114,9 +118,12 @@ def load_problem(
             notes.append(f"truth begins late; the estimate starts at {start} ns with it")
     end = int(every.max())
     if until is not None:
-        if not until > 0:
+        if not 0 < until < np.inf:
             raise DataError(f"until: found {until:g} s, expected a time above 0")
         end = min(end, start + round(until * SECOND))
+
+    _check_span(config, log, start, end, sources)
+    notes += _silences(control_stamps, end)
 
     for name in stamped:
         inside = (stamped[name].stamps >= start) & (stamped[name].stamps <= end)
@@ -127,13 +134,15 @@ def load_problem(
 
     prior = _prior(config, bare, vehicle, poses, start)
     installed = tuple(_installation(config, name, plain[name]) for name in plain)
+    built = Rig(vehicle, installed, prior)
+    _check_noise(config, built)
     recording = assemble(
         start, end, control_stamps, controls, list(stamped.values()), config.output.rate
     )
     return Problem(
         title=raw.title or config.title,
         config=config.model_dump(mode="json", exclude_none=True),
-        rig=Rig(vehicle, installed, prior),
+        rig=built,
         recording=recording,
         truth=None if reference is None else _truth(reference, bare, start, end),
         filter=config.filter.name,
@@ -172,6 +181,67 @@ def _installation(config: RigConfig, name: str, sensor: AbstractSensor) -> Insta
     return Installation(
         name, sensor, spec.rate, spec.latency, spec.gate, mount, spec.student_dof
     )
+
+
+def _check_span(
+    config: RigConfig, log: str, start: int, end: int, sources: Mapping[str, Source]
+) -> None:
+    """Refuse a log without duration, and one that a wrong stamp makes endless.
+
+    Raises:
+        DataError: with the source and line of the last stamp.
+    """
+    if end <= start:
+        raise DataError(
+            f"{log}: all of it happens at one time, {start} ns; expected a duration"
+        )
+    count = (end - start) / SECOND * config.output.rate
+    if count > MOST_OUTPUTS:
+        late = [(int(s.stamps[-1]), name, s) for name, s in sources.items() if len(s.stamps)]
+        where = "the last stamp is of the control"
+        if late and max(late, key=lambda entry: entry[0])[0] >= end:
+            stamp, name, source = max(late, key=lambda entry: entry[0])
+            where = f"the last stamp, {stamp} ns, is of {name}, line {int(source.lines[-1])}"
+        raise DataError(
+            f"{log}: found {(end - start) / SECOND:.0f} s, which at output.rate = "
+            f"{config.output.rate:g} Hz are {count:.2g} estimates, expected at most "
+            f"{MOST_OUTPUTS:.0e}; {where}"
+        )
+
+
+def _silences(control_stamps: Int64[np.ndarray, " n"], end: int) -> list[str]:
+    """What to say of a control that stops: the last one is held, which may not be true."""
+    if len(control_stamps) == 0:
+        return []
+    gaps = np.diff(np.append(control_stamps, end)) / SECOND
+    long = int((gaps[:-1] > SILENCE).sum())
+    notes = [f"control: {long} gaps of more than {SILENCE:g} s; the last is held"] * bool(long)
+    if gaps[-1] > SILENCE:
+        notes.append(f"control: it ends {gaps[-1]:.1f} s before the log; the last is held")
+    return notes
+
+
+def _check_noise(config: RigConfig, rig: Rig) -> None:
+    """Refuse noise that is no noise.
+
+    Raises:
+        ContractError: a standard deviation is not above 0, or a density is below 0.
+    """
+    for installation in rig.sensors:
+        sensor = installation.sensor.facing(0)
+        std = sensor.noise_std(sensor.project(rig.prior.mean))
+        for field, value in std._asdict().items():
+            if not np.all(np.asarray(value) > 0):
+                raise ContractError(
+                    f"{config.origin}: sensors.{installation.name}: the noise of {field} has "
+                    f"the standard deviation {np.asarray(value).tolist()}, expected above 0"
+                )
+    for field, value in rig.vehicle.noise_density()._asdict().items():
+        if np.any(np.asarray(value) < 0):
+            raise ContractError(
+                f"{config.origin}: vehicle: the noise density of {field} is "
+                f"{np.asarray(value).tolist()}, expected 0 or more"
+            )
 
 
 def _reference(raw: RawLog, truth: str) -> Table | None:

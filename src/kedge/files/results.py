@@ -140,5 +140,12 @@ def digest(*parts: Any) -> str:
 def _cells(values: np.ndarray) -> list[str]:
     values = np.asarray(values)
     if values.dtype.kind != "f":
-        return [str(v) for v in values.tolist()]
+        return [_quoted(str(v)) for v in values.tolist()]
     return [repr(v) if math.isfinite(v) else "" for v in values.tolist()]
+
+
+def _quoted(text: str) -> str:
+    """As CSV wants it: quotes around what has a comma, a quote or a line break in it."""
+    if any(mark in text for mark in ',"\n\r'):
+        return '"' + text.replace('"', '""') + '"'
+    return text

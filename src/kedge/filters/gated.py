@@ -26,7 +26,9 @@ B = TypeVar("B")
 
 @filters.add("gated")
 class Gated(AbstractFilter[Any]):
-    r"""Accepts a reading if $\nu^\top S^{-1} \nu \le \chi^2_d(1 - \alpha)$.
+    r"""A gate around the filter ``inner``, set by its false-alarm probability.
+
+    Accepts a reading if $\nu^\top S^{-1} \nu \le \chi^2_d(1 - \alpha)$.
 
     ``false_alarm`` is $\alpha$, the share of good readings refused if the model is right; the
     bound follows from it and from the number d of components present, so a reading that is
@@ -67,9 +69,10 @@ class Gated(AbstractFilter[Any]):
         posterior, score = self.inner.update(model, belief, measurement, key)
         sizes = np.arange(score.residual.shape[0] + 1)
         bounds = np.where(sizes > 0, chdtri(np.maximum(sizes, 1), self.false_alarm), np.inf)
-        # What the inner filter has left out already is its verdict, not the gate's.
+        # What the inner filter has left out already keeps the inner filter's reason.
         taken = jnp.asarray(score.accepted)
-        threshold = jnp.where(taken, jnp.asarray(bounds)[score.dof], jnp.inf)
+        own = jnp.minimum(jnp.asarray(bounds)[score.dof], score.threshold)
+        threshold = jnp.where(taken, own, score.threshold)
         inside = score.nis <= threshold
         kept = jax.tree.map(lambda new, old: jnp.where(inside, new, old), posterior, belief)
         return kept, score._replace(accepted=taken & inside, threshold=threshold)

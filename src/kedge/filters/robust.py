@@ -39,7 +39,9 @@ class Inflated(AbstractMeasurementModel[Any]):
 
 @filters.add("robust")
 class Robust(AbstractFilter[Any]):
-    r"""Multiplies R by $\max(1, (\nu + d^2) / (\nu + m))$ before the update.
+    r"""Student-t noise around the filter ``inner``.
+
+    Multiplies R by $\max(1, (\nu + d^2) / (\nu + m))$ before the update.
 
     $d^2$ is the normalised innovation squared of the m components there, and
     ``student_dof`` is $\nu$ of the Student-t distribution whose weights these are: 4 is

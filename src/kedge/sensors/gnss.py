@@ -19,7 +19,9 @@ class Reads(NamedTuple):
 
 @sensors.add("gnss")
 class Gnss(AbstractSensor[Measurement]):
-    r"""Position fixes in the map frame, $z = p + v$, with independent, isotropic errors.
+    r"""Position fixes in the plane.
+
+    $z = p + v$ in the map frame, with independent, isotropic errors.
 
     Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
     Systems", 2nd ed., 2013, section 14.3.1 (loose coupling).

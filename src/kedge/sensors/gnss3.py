@@ -19,7 +19,9 @@ class Reads(NamedTuple):
 
 @sensors.add("gnss3")
 class Gnss3(AbstractSensor[Measurement]):
-    r"""Position fixes in the map frame, $z = p + v$; height is worse than the plane.
+    r"""Position fixes in space.
+
+    $z = p + v$ in the map frame; height is worse than the plane.
 
     Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
     Systems", 2nd ed., 2013, section 14.3.1 (loose coupling).

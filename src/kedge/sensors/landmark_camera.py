@@ -25,7 +25,9 @@ class Reads(NamedTuple):
 
 @sensors.add("landmark-camera")
 class LandmarkCamera(AbstractSensor[Measurement]):
-    r"""$z = [s\, r \cos\beta,\ \beta + b]$ at distance r and bearing $\beta$ from the nose.
+    r"""Depth and bearing of landmarks of known size, as a camera sees them.
+
+    $z = [s\, r \cos\beta,\ \beta + b]$ at distance r and bearing $\beta$ from the nose.
 
     The apparent size of a landmark gives its depth $r \cos\beta$ along the optical axis, not
     its distance: 30 degrees off the axis the two differ by 13 %. Some data sets (MRCLAM) call

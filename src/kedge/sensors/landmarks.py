@@ -32,7 +32,9 @@ MAP: Any = np.array([[20.0, 30.0], [-10.0, 5.0], [25.0, -15.0]])  # m, a small e
 
 @sensors.add("landmarks")
 class Landmarks(AbstractSensor[Measurement]):
-    r"""$z = [s_r \lVert l - p \rVert,\ \angle(l - p) - \psi + b]$, positive to the left.
+    r"""Range and bearing to the landmarks of a map.
+
+    $z = [s_r \lVert l - p \rVert,\ \angle(l - p) - \psi + b]$, positive to the left.
 
     The range error has a part that grows with the distance, as a camera's or a radar's does.
 

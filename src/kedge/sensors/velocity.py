@@ -19,7 +19,9 @@ class Reads(NamedTuple):
 
 @sensors.add("velocity")
 class MapVelocity(AbstractSensor[Measurement]):
-    r"""$z = \dot p + v$ in the map frame, with independent, isotropic errors.
+    r"""Velocity in the plane, in the map frame.
+
+    $z = \dot p + v$, with independent, isotropic errors.
 
     Wheel odometry measures in the body frame; it fits here only after a turn by the heading.
 

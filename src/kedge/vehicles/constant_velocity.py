@@ -24,7 +24,9 @@ class Noise(NamedTuple):
 
 @vehicles.add("constant-velocity")
 class ConstantVelocity(AbstractVehicle[State, Control, Noise]):
-    r"""$p' = p + v \Delta t + \tfrac12 w \Delta t^2,\quad v' = v + w \Delta t$.
+    r"""A point that keeps its velocity, disturbed by white acceleration.
+
+    $p' = p + v \Delta t + \tfrac12 w \Delta t^2,\quad v' = v + w \Delta t$.
 
     The acceleration w is held over a step and has the same power at every step length.
 

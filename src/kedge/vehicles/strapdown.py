@@ -34,7 +34,9 @@ class Imu(NamedTuple):
 
 @vehicles.add("strapdown")
 class Strapdown(AbstractOdeVehicle[State, Imu, Imu]):
-    r"""$\dot p = v,\ \dot v = R(q) (f - w_f) + g,\ \dot q = q \otimes (\omega - w_\omega) / 2$.
+    r"""Position, velocity and attitude from gyroscopes and accelerometers.
+
+    $\dot p = v,\ \dot v = R(q) (f - w_f) + g,\ \dot q = q \otimes (\omega - w_\omega) / 2$.
 
     Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017,
     arXiv 1711.02508, section 5.1.
