@@ -55,6 +55,7 @@ def scores(case, name, factor=1.0):
     prior = Gaussian(model.start(), 0.04 * jnp.eye(states.size))
     scenario = Scenario(Rig(model, installed, prior), duration=6.0, dt=0.1)
     plan = schedule(scenario, output_rate=1.0)
+    noisy = jax.tree.map(lambda leaf: leaf * factor**0.5, model) if factor != 1 else model
     # The truth stands at the ends of the simulation's steps.
     step = np.round(np.asarray(plan.log.schedule.time) / scenario.dt).astype(int) - 1
     after = step >= 0
@@ -64,22 +65,28 @@ def scores(case, name, factor=1.0):
     def one(key):
         run = simulate(scenario, key)
         log = with_readings(plan.log, scenario, run)
-        noises = jax.tree.map(lambda leaf: leaf * factor**0.5, vehicles.make(vehicle))
-        rig = Rig(noises if factor != 1 else model, installed, prior)
+        rig = Rig(noisy, installed, prior)
         filtered, smoothed = smooth(filters.make(name), rig, log)
         truth = jax.tree.map(lambda leaf: leaf[step], run.truth)
 
-        def nees(moments):
-            error = jax.vmap(states.boxminus)(truth, moments.mean)
-            return jnp.einsum("ki,kij,kj->k", error, jnp.linalg.inv(moments.cov), error)
+        def errors(moments):
+            return jax.vmap(states.boxminus)(truth, moments.mean), moments.cov
 
-        gain = jnp.linalg.eigvalsh(filtered.moments.cov - smoothed.moments.cov)[:, 0]
         outcome = filtered.outcome
-        found = nees(filtered.moments), nees(smoothed.moments)
-        return *found, outcome.nis, outcome.dof, outcome.verdict, gain
+        scored = outcome.nis, outcome.dof, outcome.verdict
+        return errors(filtered.moments), errors(smoothed.moments), scored
 
-    found = [np.asarray(part)[:, after] for part in one(jr.split(jr.key(7), RUNS))]
-    return Scores(*found, states.size)
+    found = jax.tree.map(
+        lambda leaf: np.asarray(leaf)[:, after], one(jr.split(jr.key(7), RUNS))
+    )
+    # Decompositions in numpy: several batched ones in one program can hang jaxlib 0.10.
+    filtered, smoothed, scored = found
+    gain = np.linalg.eigvalsh(filtered[1] - smoothed[1])[..., 0]
+    return Scores(nees(*filtered), nees(*smoothed), *scored, gain, states.size)
+
+
+def nees(error, cov):
+    return np.einsum("rki,rki->rk", error, np.linalg.solve(cov, error[..., None])[..., 0])
 
 
 @pytest.fixture(
