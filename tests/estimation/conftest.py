@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from kedge.core.beliefs import Gaussian
+from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
+from kedge.filters.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
+from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import Unicycle
 
 
@@ -20,6 +23,19 @@ def rig():
         Installation("camera", Landmarks(), gate=1e-4),
     )
     return Rig(Unicycle(), sensors, Gaussian(Unicycle().start(), 0.1 * jnp.eye(3)))
+
+
+@pytest.fixture(scope="session")
+def extended(rig, log):
+    """The extended filter over that log with another schedule or other readings: compiled once."""
+
+    @quick_jit
+    def run(schedule, readings):
+        return estimate(
+            ExtendedKalman(), rig, log._replace(schedule=schedule, readings=readings)
+        )
+
+    return lambda schedule=log.schedule, readings=log.readings: run(schedule, readings)
 
 
 @pytest.fixture(scope="session")

@@ -87,7 +87,7 @@ def test_online_is_the_batch_with_all_kinds_of_readings(name, rig, log, key):
     seen = {Verdict(int(v)) for v in batch.outcome.verdict}
     usual = {Verdict.NONE, Verdict.FUSED, Verdict.GATED}
     if name == "dead-reckoning":
-        usual = {Verdict.NONE, Verdict.DROPPED, Verdict.GATED}
+        usual = {Verdict.NONE, Verdict.DROPPED}
     assert seen == usual | {Verdict.NOT_FINITE, Verdict.UNKNOWN_TARGET}
 
 
