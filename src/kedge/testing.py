@@ -7,7 +7,7 @@ it at many random points; the seeds are fixed, so that what passes keeps passing
 """
 
 import functools as ft
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -26,6 +26,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.online import Estimator
+from kedge.estimation.reading import sight
 from kedge.estimation.rig import Installation, Rig
 from kedge.numerics.linalg import cholesky
 from kedge.numerics.noise import process_std
@@ -36,6 +37,7 @@ __all__ = ["check_filter", "check_sensor", "check_vehicle", "quick_jit"]
 
 POINTS = 16
 SUBSTEPS = 16
+DIFFERENCE = 1e-5
 SPAN = 60.0  # s
 
 quick_jit = ft.partial(
@@ -115,6 +117,7 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
         1e-300,
     )
     require.finite("the Jacobians are finite, also at rest", found["jacobian"])
+    require.small("the Jacobians are those of central differences", found["slope"], 1e-6)
     require.finite(f"what drive() does stays finite for {SPAN:g} s", found["drive"])
 
 
@@ -184,6 +187,7 @@ def check_sensor(sensor: str | type | AbstractSensor) -> None:
     require.small("noise_cov is symmetric", found["skew"], 1e-12 * (1 + found["cov"].max()))
     require.finite("noise_cov is positive definite", found["root"])
     require.finite("the Jacobian is finite", found["jacobian"])
+    require.small("the Jacobian is that of central differences", found["slope"], 1e-6)
 
 
 def check_filter(filter: str | type | AbstractFilter) -> None:
@@ -201,18 +205,25 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
     recording, _ = record(Scenario(rig, duration=3.0), jr.key(3), output_rate=5.0)
     log = jax.tree.map(np.asarray, recording.log)
     runs = (log.readings, _spoilt(log.readings), _missing(log.readings))
-    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *runs)
     silent = log.schedule._replace(sensor=np.full_like(log.schedule.sensor, -1))
 
     @quick_jit
     def run(schedule: Schedule, readings: Any) -> Estimates:
-        def one(some: Any) -> Estimates:
-            return estimate(model, rig, Log(schedule, log.controls, some), key)
+        return estimate(model, rig, Log(schedule, log.controls, readings), key)
 
-        return jax.vmap(one)(readings)
+    def runs_at_once(rate: Float[Array, ""], key: PRNGKeyArray) -> Any:
+        installation = rig.sensors[0]
+        one, measurement = sight(installation, _row(log.readings[0], 0))
+        belief = model.init(rig.prior, key)
+        belief = model.predict(rig.vehicle, belief, _row(log.controls, 0), rate, key)
+        return model.update(one, belief, measurement, key)
 
-    with _tracing(require, "it can be traced, scanned and mapped over runs"):
-        found = jax.tree.map(np.asarray, run(log.schedule, batch))
+    with _tracing(require, "it can be mapped over runs, with jax.vmap"):
+        jax.eval_shape(jax.vmap(runs_at_once), np.full(2, 0.1), jr.split(key, 2))
+    with _tracing(require, "it can be traced and scanned over a log"):
+        found = jax.tree.map(
+            lambda *leaves: np.stack(leaves), *(run(log.schedule, one) for one in runs)
+        )
     for index, label in enumerate(("as they are", "spoilt", "missing")):
         moments = _row(found.moments, index)
         require.finite(
@@ -227,7 +238,7 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
 
     require(
         "the same key gives the same bytes",
-        _bytes(run(log.schedule, batch)) == _bytes(found),
+        _bytes(run(log.schedule, runs[0])) == _bytes(_row(found, 0)),
         found="two results",
         expected="one",
     )
@@ -238,7 +249,7 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
         found=[Verdict(verdict).name for verdict in verdicts],
         expected="NOT_FINITE",
     )
-    alone, gone = _row((run(silent, batch).moments, found.moments), 2)
+    alone, gone = run(silent, runs[2]).moments, _row(found.moments, 2)
     require.small("a missing reading leaves the prediction", _distance(alone, gone), 1e-12)
 
     for index in range(2):
@@ -423,7 +434,7 @@ def _vehicle_figures(
             (slope, effect), after = slopes(start, length, drive)
             scaled = effect * process_std(model, length)[None]
             cov = slope @ cov @ slope.T + scaled @ scaled.T
-            return (after, cov), (cov, jnp.concatenate([slope.ravel(), effect.ravel()]))
+            return (after, cov), (cov, jnp.concatenate([slope, effect], axis=1))
 
         begin = state, jnp.zeros((states.size, states.size))
         return jax.lax.scan(body, begin, length=SUBSTEPS)[1]
@@ -438,6 +449,11 @@ def _vehicle_figures(
     covs, jacobians = jax.vmap(spread)(fine, _stacked([still, control, control]))
     few, many = jnp.diag(covs[1, SUBSTEPS // 2 - 1]), jnp.diag(covs[2, -1])
 
+    def end(shift: Array) -> Any:
+        begun = states.boxplus(state, shift[: states.size])
+        noise = noises.unflatten(shift[states.size :])
+        return model.step(begun, control, noise, fine[1])
+
     moved = states.boxplus(state, error)
     again = states.boxplus(state, states.boxminus(moved, state))
     return {
@@ -449,6 +465,7 @@ def _vehicle_figures(
         "gap of half the step": _norm(gaps[1]),
         "noise": jnp.abs(few - many) - jnp.maximum(few, many) / 4,
         "jacobian": jacobians,
+        "slope": _slope_gap(end, states, jacobians[1, 0]),
     }
 
 
@@ -471,8 +488,11 @@ def _sensor_figures(
     facing = model.facing(target)
     seen = facing.observe(point)
 
-    def slope(shift: Array) -> Array:
-        return outputs.boxminus(facing.observe(reads.boxplus(point, shift)), seen)
+    def look(shift: Array) -> Any:
+        return facing.observe(reads.boxplus(point, shift))
+
+    def move(shift: Array) -> Array:
+        return outputs.boxminus(look(shift), seen)
 
     # The same point by its other name: 360 degrees on, or the opposite quaternion.
     other = reads.cls(
@@ -485,7 +505,7 @@ def _sensor_figures(
             for c, leaf in zip(reads.charts, point, strict=True)
         )
     )
-    cov = facing.noise_cov(point)
+    cov, jacobian = facing.noise_cov(point), jax.jacfwd(move)(reads.zeros())
     return {
         "measurement": jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(seen)]),
         "std": outputs.flatten(facing.noise_std(point)),
@@ -494,8 +514,21 @@ def _sensor_figures(
         "cov": jnp.abs(cov),
         "skew": jnp.abs(cov - cov.T),
         "root": cholesky(cov),
-        "jacobian": jax.jacfwd(slope)(reads.zeros()),
+        "jacobian": jacobian,
+        "slope": _slope_gap(look, outputs, jacobian),
     }
+
+
+def _slope_gap(
+    function: Callable[[Array], Any], values: Space, jacobian: Float[Array, "m n"]
+) -> Array:
+    """How far a Jacobian at the origin is from central differences, relative to its largest."""
+    size = jacobian.shape[1]
+    shifts = DIFFERENCE * jnp.concatenate([jnp.zeros((1, size)), jnp.eye(size), -jnp.eye(size)])
+    points = jax.vmap(function)(shifts)
+    moves = jax.vmap(values.boxminus, (0, None))(points, _row(points, 0))
+    slope = (moves[1 : size + 1] - moves[size + 1 :]).T / (2 * DIFFERENCE)
+    return jnp.abs(jacobian - slope).max() / jnp.maximum(jnp.abs(slope).max(), 1.0)
 
 
 def _stacked(trees: list[Any]) -> Any:

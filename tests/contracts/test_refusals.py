@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -41,6 +42,8 @@ class Rail(AbstractVehicle[State, Push, Push]):
             travel = travel + 1e-6
         if self.fault == "rest":
             travel = travel + 1e-9 * jnp.sqrt((control.speed + noise.speed) ** 2) * dt
+        if self.fault == "slope":
+            travel = jax.lax.stop_gradient(travel)
         if self.fault == "drive":
             travel = travel * jnp.where(state.position > 100, jnp.inf, 1.0)
         speed = state.speed + change
@@ -68,6 +71,7 @@ VEHICLE = {
     "noise": "noise has one variance however time is cut",
     "decay": "noise has one variance however time is cut",
     "rest": "the Jacobians are finite, also at rest",
+    "slope": "the Jacobians are those of central differences",
     "drive": r"what drive\(\) does stays finite for 60 s",
     "shape": "step keeps the structure, the shapes and the dtypes",
     "dtype": "step keeps the structure, the shapes and the dtypes",
@@ -82,7 +86,19 @@ def test_a_sound_vehicle_passes():
 
 
 # Each compiles a program of its own; the laws that are easiest to get wrong are always tried.
-LONG = ("offset", "decay", "rest", "drive", "negative", "nan", "cov", "slope")
+LONG = (
+    "offset",
+    "decay",
+    "rest",
+    "drive",
+    "slope",
+    "jump",
+    "noise",
+    "cov",
+    "skew",
+    "negative",
+    "nan",
+)
 
 
 def faults(found):
@@ -172,8 +188,10 @@ class Compass(AbstractSensor[Angle]):
             return Angle(state.heading[None])
         if self.fault == "turn":
             return Angle(0.7 * state.heading)
-        if self.fault == "slope":
+        if self.fault == "jump":
             return Angle(jnp.sqrt(jnp.abs(state.heading) * 0))
+        if self.fault == "slope":
+            return Angle(jax.lax.stop_gradient(state.heading))
         return Angle(state.heading)
 
     def noise_std(self, state):
@@ -193,7 +211,8 @@ SENSOR = {
     "cov": "noise_cov is positive definite",
     "dof": "dof is the size of the measurement",
     "turn": "a turn of the state by 360 degrees changes no measurement",
-    "slope": "the Jacobian is finite",
+    "jump": "the Jacobian is finite",
+    "slope": "the Jacobian is that of central differences",
 }
 
 

@@ -1,4 +1,7 @@
-"""Every registered sensor keeps its contract; new ones are found without being named."""
+"""Every registered sensor keeps its contract; new ones are found without being named.
+
+That its Jacobian is that of central differences (law 10) is part of the contract.
+"""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""Every registered vehicle keeps its contract; new ones are found without being named."""
+"""Every registered vehicle keeps its contract; new ones are found without being named.
+
+That its Jacobians are those of central differences (law 10) is part of the contract.
+"""
 
 import jax.numpy as jnp
 import pytest

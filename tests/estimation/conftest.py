@@ -27,7 +27,7 @@ def rig():
 
 @pytest.fixture(scope="session")
 def extended(rig, log):
-    """The extended filter over that log with another schedule or other readings: compiled once."""
+    """The extended filter over that log with other schedules or readings: compiled once."""
 
     @quick_jit
     def run(schedule, readings):

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 
-import equinox as eqx
 import jax
 import jax.random as jr
 import numpy as np
@@ -13,8 +12,8 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError, DataError
 from kedge.core.verdicts import Verdict
-from kedge.estimation.batch import estimate, estimate_with_history
-from kedge.estimation.rig import Installation, Mount, Rig
+from kedge.estimation.batch import estimate, estimate_with_history, pass_over
+from kedge.estimation.rig import Installation, Mount, Rig, as_arrays
 from kedge.estimation.runs import estimate_runs
 from kedge.filters.ensemble import EnsembleKalman
 from kedge.filters.extended import ExtendedKalman
@@ -126,11 +125,11 @@ def runs_of(log, count):
 @pytest.fixture(scope="module")
 def batched(rig, log):
     """Runs in a batch, with a shared schedule; and the program."""
+    filter, model = as_arrays((ExtendedKalman(), rig))
 
     def one(schedule, readings):
-        return estimate(
-            ExtendedKalman(), rig, log._replace(schedule=schedule, readings=readings)
-        )
+        given = log._replace(schedule=schedule, readings=readings)
+        return pass_over(filter, model, given, jr.key(0), False)[0]
 
     def compiled(axis, schedule, readings):
         options = {"xla_backend_optimization_level": 0}
@@ -154,25 +153,17 @@ def test_a_shared_schedule_keeps_its_branches(log, batched):
     assert conditionals(compiled(0, copies, readings)) == 0
 
 
-def test_runs_in_a_batch_are_the_runs_alone(rig, log, batched):
-    """In chunks too: each run is the same, whatever it is run beside."""
+def test_runs_in_a_batch_are_the_runs_alone(extended, batched):
     _, readings, _, found = batched
-    controls = jax.tree.map(lambda leaf: np.stack([leaf] * 4), log.controls)
-    chunked = estimate_runs(
-        ExtendedKalman(), rig, log._replace(controls=controls, readings=readings), chunk=2
-    )
-    run = quick_jit(lambda some: estimate(ExtendedKalman(), rig, log._replace(readings=some)))
     for i in range(4):
-        alone = run(jax.tree.map(lambda leaf, i=i: leaf[i], readings))
-        for together in (found, chunked):
-            for a, b in zip(*map(jax.tree.leaves, (alone, together)), strict=True):
-                np.testing.assert_allclose(
-                    a, b[i] if np.ndim(b) > np.ndim(a) else b, rtol=1e-9, atol=1e-11
-                )
+        alone = extended(readings=jax.tree.map(lambda leaf, i=i: leaf[i], readings))
+        for a, b in zip(*map(jax.tree.leaves, (alone, found)), strict=True):
+            np.testing.assert_allclose(a, b[i] if np.ndim(b) > np.ndim(a) else b, rtol=1e-9)
 
 
 @pytest.mark.slow
 def test_the_chunk_changes_no_draw(rig, log, key):
+    """Runs are the same, whatever they are run beside."""
     filter = EnsembleKalman(count=5)
     many = log._replace(
         controls=jax.tree.map(lambda leaf: np.stack([leaf] * 3), log.controls),
@@ -205,33 +196,30 @@ def test_runs_are_equally_many_everywhere(rig, log, count):
         estimate_runs(ExtendedKalman(), rig, log._replace(controls=controls, readings=readings))
 
 
-def test_an_event_out_of_order_is_late_and_changes_nothing(rig, log):
+def test_an_event_out_of_order_is_late_and_changes_nothing(log, extended):
     """navlie's guard fuses such a reading as if it were current."""
     schedule = log.schedule
     place = int(np.flatnonzero(schedule.sensor == 0)[2])
-    run = quick_jit(
-        lambda schedule: estimate(ExtendedKalman(), rig, log._replace(schedule=schedule))
-    )
     before = schedule.time.copy()
     before[place] -= 1.0
-    late = run(schedule._replace(time=before))
+    late = extended(schedule._replace(time=before))
     # The same events, but for that reading.
     silent, at = schedule.sensor.copy(), schedule.time.copy()
     silent[place], at[place] = -1, at[place - 1]
-    missing = run(schedule._replace(sensor=silent, time=at))
+    missing = extended(schedule._replace(sensor=silent, time=at))
     assert int(late.outcome.verdict[place]) == Verdict.LATE
     assert (np.delete(late.outcome.verdict, place) != Verdict.LATE).all()
     assert contents(late.moments) == contents(missing.moments)
 
 
-def test_a_sensor_that_never_fires(rig, log):
+def test_a_sensor_that_never_fires(rig, log, extended):
     """A part of a log may hold no reading of one of the sensors."""
     none = jax.tree.map(lambda leaf: leaf[:0], log.readings[1])
     sensor = np.where(log.schedule.sensor == 1, -1, log.schedule.sensor)
     schedule = log.schedule._replace(sensor=sensor)
     run = quick_jit(lambda log: estimate(ExtendedKalman(), rig, log))
     found = run(log._replace(schedule=schedule, readings=(log.readings[0], none)))
-    expected = run(log._replace(schedule=schedule))
+    expected = extended(schedule)
     np.testing.assert_allclose(found.moments.cov, expected.moments.cov, rtol=1e-12)
 
 
@@ -241,14 +229,7 @@ def test_only_gaussians_can_be_smoothed(rig, log):
             estimate_with_history(filter, rig, log)
 
 
-def test_history_changes_no_estimate(rig, log):
-    @quick_jit
-    def both(readings):
-        given = log._replace(readings=readings)
-        plain = estimate(ExtendedKalman(), rig, given)
-        return plain.moments, estimate_with_history(ExtendedKalman(), rig, given)[0].moments
-
-    plain, kept = both(log.readings)
-    for a, b in zip(*map(jax.tree.leaves, (plain, kept)), strict=True):
+def test_history_changes_no_estimate(rig, log, extended):
+    run = quick_jit(lambda log: estimate_with_history(ExtendedKalman(), rig, log)[0].moments)
+    for a, b in zip(*map(jax.tree.leaves, (run(log), extended().moments)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
-    assert eqx.tree_equal(*map(jax.tree.structure, (plain, kept)))

@@ -74,9 +74,12 @@ def replay(estimator, rig, log):
         if n != "kalman"
     ],
 )
-def test_online_is_the_batch_with_all_kinds_of_readings(name, rig, log, key):
+def test_online_is_the_batch_with_all_kinds_of_readings(name, rig, log, extended, key):
     filter, log = filters.make(name), spoilt(log)
-    batch = estimate(filter, rig, log, key)
+    if name == "extended":
+        batch = extended(readings=log.readings)
+    else:
+        batch = estimate(filter, rig, log, key)
     estimator = Estimator(filter, rig, key, control=row(log.controls, 0))
     for i, answer in enumerate(replay(estimator, rig, log)):
         assert int(answer.verdict) == int(batch.outcome.verdict[i])

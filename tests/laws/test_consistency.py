@@ -92,8 +92,8 @@ def nees(error, cov):
 @pytest.fixture(
     scope="module",
     params=[
-        ("linear", "kalman"),
         ("robot", "extended"),
+        pytest.param(("linear", "kalman"), marks=pytest.mark.slow),
         pytest.param(("linear", "unscented"), marks=pytest.mark.slow),
         pytest.param(("robot", "unscented"), marks=pytest.mark.slow),
     ],
