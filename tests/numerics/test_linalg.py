@@ -10,11 +10,13 @@ import pytest
 from kedge.numerics.linalg import (
     UNROLLED,
     cholesky,
+    definite,
     gain,
     solve_lower,
     solve_lower_transposed,
     square_root,
     symmetric,
+    triangularise,
 )
 from kedge.testing import quick_jit
 
@@ -112,6 +114,36 @@ def test_what_is_not_finite_stays_so(spoilt):
     matrix[0, 0] = np.nan
     for root in both(matrix):
         assert np.isnan(root).any()
+
+
+@pytest.mark.parametrize("size", [2, 5, 2 * UNROLLED, 2 * UNROLLED + 1])
+def test_triangularised_rows_have_the_same_products(size):
+    """Of full rank, and of rank 1, where a Cholesky factor of the product has no pivots."""
+    for rows in (RANDOM.normal(size=(size, size + 3)), np.vander(np.ones(size), 2) @ np.eye(2)):
+        root = np.asarray(quick_jit(triangularise)(jnp.asarray(rows)))
+        np.testing.assert_array_equal(np.triu(root, 1), 0)
+        assert (np.diag(root) >= 0).all()
+        np.testing.assert_allclose(root @ root.T, rows @ rows.T, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [4, UNROLLED + 1, 33])
+def test_what_is_indefinite_is_mended_and_counted(size):
+    repair = quick_jit(definite)
+    matrix = np.diag(np.arange(1.0, size + 1))
+    matrix[1, 1] = -1e-3
+    matrix[0, 2] = matrix[2, 0] = 0.5
+    mended, lifted = repair(matrix)
+    assert lifted == 1
+    matrix[1, 1] = 0.0
+    np.testing.assert_allclose(mended, matrix, atol=1e-15)
+    for sound in (np.eye(size), matrix, np.zeros((size, size))):
+        mended, lifted = repair(sound)
+        assert lifted == 0
+        np.testing.assert_array_equal(mended, sound)
+    matrix[0, 0] = np.nan
+    mended, lifted = repair(matrix)
+    assert lifted == 0
+    assert np.isnan(mended[0, 0])
 
 
 def test_symmetric_keeps_the_quadratic_form():

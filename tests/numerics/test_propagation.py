@@ -9,7 +9,7 @@ import pytest
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Heading, Position
 from kedge.numerics.propagation import SigmaPoints, Taylor
-from kedge.numerics.quadrature import unscented
+from kedge.numerics.quadrature import cubature, gauss_hermite, unscented
 from kedge.testing import quick_jit
 
 
@@ -47,6 +47,21 @@ def test_polar_to_cartesian():
     np.testing.assert_allclose(mean.position[1], exact, atol=s**2 / 8)
     np.testing.assert_allclose(cov[0, 0], 0.0640744417, rtol=2 * s)
     np.testing.assert_allclose(cov[1, 1], 0.0025684402, rtol=20 * s)
+
+
+@pytest.mark.parametrize(("order", "digits"), [(3, 3), (5, 5), (9, 9)])
+def test_gauss_hermite_tends_to_the_exact_moments(order, digits):
+    """Law 15 to as many digits as the order has points, covariance included."""
+    mean, cov, _ = moments(SigmaPoints(lambda n: gauss_hermite(n, order)))
+    np.testing.assert_allclose(mean.position, [0, 0.9663110876], atol=10.0**-digits)
+    exact = np.diag([0.0640744417, 0.0025684402])
+    np.testing.assert_allclose(cov, exact, atol=10.0**-digits)
+
+
+def test_cubature_is_exact_to_third_order():
+    mean, _, _ = moments(SigmaPoints(cubature))
+    s = np.deg2rad(15) ** 2
+    np.testing.assert_allclose(mean.position, [0, np.exp(-s / 2)], atol=s**2 / 8)
 
 
 def test_first_order_sees_no_shift():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kedge.core.errors import ContractError
-from kedge.numerics.quadrature import unscented
+from kedge.numerics.quadrature import cubature, gauss_hermite, unscented
 
 RULES = [{}, {"alpha": 1e-3, "beta": 2.0, "kappa": 0.0}, {"kappa": -0.5}, {"alpha": 0.5}]
 
@@ -42,6 +42,41 @@ def test_the_scaled_rule_adds_its_correction_at_the_centre():
     _, mean, cov = unscented(3, alpha=1e-3, beta=2.0, kappa=0.0)
     np.testing.assert_allclose(mean[0], 1 - 1e6)
     np.testing.assert_allclose(cov[0] - mean[0], 3 - 1e-6)
+
+
+def moment(power):
+    """Of a standard normal: 1, 0, 1, 0, 3, 0, 15, ..."""
+    return 0 if power % 2 else np.prod(np.arange(1, power, 2))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize("order", [2, 3, 5])
+def test_gauss_hermite_is_exact_to_its_degree_in_each_variable(size, order):
+    points, weights, spread = gauss_hermite(size, order)
+    assert len(points) == order**size + (order % 2 == 0)
+    assert weights.min() >= 0
+    np.testing.assert_array_equal(weights, spread)
+    np.testing.assert_array_equal(points[0], 0)
+    for powers in np.ndindex(*[2 * order] * size):
+        values = np.prod(points ** np.array(powers), axis=1)
+        expected = np.prod([moment(power) for power in powers])
+        # Odd moments vanish by cancelling: rounding is that of the terms.
+        rounding = 1e-13 * (weights @ np.abs(values))
+        np.testing.assert_allclose(weights @ values, expected, atol=rounding, rtol=1e-12)
+
+
+def test_a_grid_beyond_reason_is_refused():
+    with pytest.raises(ContractError, match=r"order 3 in 15 variables.*14348907 points"):
+        gauss_hermite(15)
+    with pytest.raises(ContractError, match="order is 1, must be at least 2"):
+        gauss_hermite(2, 1)
+
+
+def test_cubature_weighs_all_points_alike():
+    points, weights, _ = cubature(5)
+    assert weights[0] == 0
+    np.testing.assert_allclose(weights[1:], 0.1)
+    np.testing.assert_allclose(np.linalg.norm(points[1:], axis=1), np.sqrt(5))
 
 
 def test_points_that_would_be_imaginary_are_refused():

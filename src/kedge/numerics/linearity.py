@@ -1,4 +1,4 @@
-"""Is a traced function affine? Decided from its structure, not by trying a few points."""
+"""What a traced function is like, decided from its structure: affine, differentiable."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,6 +6,8 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 from jaxtyping import Array, Float
+
+from kedge.core.errors import ContractError
 
 
 def is_affine(
@@ -41,3 +43,37 @@ def _reached(program: Jaxpr, tainted_inputs: list[bool]) -> list[bool]:
             outputs = [any(inputs)] * len(equation.outvars)
         tainted |= {v for v, t in zip(equation.outvars, outputs, strict=True) if t}
     return [is_tainted(atom) for atom in program.outvars]
+
+
+def require_differentiable(
+    function: Callable[[Float[Array, " n"]], Any],
+    point: Float[Array, " n"],
+    who: str,
+    instead: str,
+) -> None:
+    """Refuse what has no derivative, or one that is zero by construction.
+
+    The second kind rounds or compares: its value depends on the argument, its derivative does
+    not, and whoever linearises it learns nothing.
+
+    Raises:
+        ContractError: naming ``who`` asks, and what to use ``instead``.
+    """
+
+    def slope(tangent: Float[Array, " n"]) -> Any:
+        return jax.jvp(function, (point,), (tangent,))[1]
+
+    try:
+        derivative = jax.make_jaxpr(slope)(point)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise ContractError(
+            f"{who} needs a derivative that the model has not: {str(error).splitlines()[0]}; "
+            f"use {instead}"
+        ) from error
+    value = jax.make_jaxpr(function)(point)
+    depends = any(_reached(value.jaxpr, [True]))
+    if depends and not any(_reached(derivative.jaxpr, [True])):
+        raise ContractError(
+            f"{who} needs a derivative, but the model's is zero everywhere although its value "
+            f"changes: it rounds or compares; use {instead}"
+        )

@@ -1,7 +1,8 @@
 """What a nonlinear function does to a Gaussian: one strategy type, shared by the filters.
 
 A strategy takes ``function(error)`` or ``function(error, noise)``, defined on the tangent
-space around a belief's mean, and returns its :class:`Image`.
+space around a belief's mean, and returns its :class:`Image` or, for square-root filters, the
+:class:`Factors` of it.
 """
 
 import abc
@@ -11,13 +12,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.numerics.linalg import square_root
+from kedge.numerics.linalg import definite, square_root, symmetric
 from kedge.numerics.linearity import is_affine
 from kedge.numerics.quadrature import Rule
+
+Function = Callable[..., Any]
 
 
 class Image(NamedTuple):
@@ -31,19 +34,54 @@ class Image(NamedTuple):
     remainder: Callable[[Float[Array, "n m"]], Float[Array, "n n"]]
     """Covariance of ``error - K value`` for any gain K: positive semi-definite as computed,
     so rounding cannot break the posterior (Joseph's form, for every strategy)."""
+    sound: Callable[[Float[Array, "k k"]], tuple[Float[Array, "k k"], Int[Array, ""] | int]]
+    """Makes a covariance computed from this image symmetric and, if the strategy's weights
+    can be negative, semi-definite; says how many pivots had to be lifted for that."""
+    repairs: Int[Array, ""] | int = 0
+    """How many had to be lifted in ``cov``, which is sound already."""
+
+
+class Factors(NamedTuple):
+    r"""A Gaussian seen through a function, as deviations side by side.
+
+    $P = E E^\top$, $P_{xz} = E A^\top$ and $P_{zz} = A A^\top$ for E before and A after.
+    """
+
+    mean: Any
+    """Point on the manifold of the function's values."""
+    before: Float[Array, "n k"]
+    after: Float[Array, "m k"]
 
 
 class AbstractPropagation(eqx.Module):
     """How a Gaussian is pushed through a function."""
 
+    @property
+    def signed(self) -> bool:
+        """Whether weights may be negative, so that covariances may have to be repaired."""
+        return False
+
     @abc.abstractmethod
     def image(
         self,
-        function: Callable[..., Any],
+        function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
     ) -> Image:
         """Moments of ``function`` at an error of ``cov`` and, if given, independent noise."""
+
+    @abc.abstractmethod
+    def factors(
+        self,
+        function: Function,
+        root: Float[Array, "n n"],
+        noise_std: Float[Array, " w"] | None = None,
+    ) -> Factors:
+        """The same at an error of covariance ``root @ root.T``, without forming a product.
+
+        Raises:
+            ContractError: a weight is negative, so there are no such deviations.
+        """
 
 
 class Taylor(AbstractPropagation):
@@ -56,21 +94,54 @@ class Taylor(AbstractPropagation):
 
     def image(
         self,
-        function: Callable[..., Any],
+        function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
     ) -> Image:
         """Linearise at the origin."""
-        sizes = [cov.shape[0]] if noise_std is None else [cov.shape[0], noise_std.shape[0]]
-        origin = jnp.zeros(sum(sizes))
+        mean, slope, effect = self._linearise(function, cov, noise_std)
+        image = slope @ cov @ slope.T
+        if noise_std is not None:
+            spread = effect * noise_std[None]
+            image = image + spread @ spread.T
 
-        def whole(joint):
-            return function(*jnp.split(joint, sizes[:1]) if len(sizes) > 1 else (joint,))
+        def remainder(gain: Float[Array, "n m"]) -> Float[Array, "n n"]:
+            rest = jnp.eye(cov.shape[0], dtype=cov.dtype) - gain @ slope
+            return rest @ cov @ rest.T
+
+        return Image(mean, symmetric(image), cov @ slope.T, remainder, _symmetric)
+
+    def factors(
+        self,
+        function: Function,
+        root: Float[Array, "n n"],
+        noise_std: Float[Array, " w"] | None = None,
+    ) -> Factors:
+        """``[L, 0]`` before, ``[F L, G q]`` after."""
+        mean, slope, effect = self._linearise(function, root, noise_std)
+        if noise_std is None:
+            return Factors(mean, root, slope @ root)
+        none = jnp.zeros((root.shape[0], noise_std.shape[0]), root.dtype)
+        after = jnp.concatenate([slope @ root, effect * noise_std[None]], axis=1)
+        return Factors(mean, jnp.concatenate([root, none], axis=1), after)
+
+    def _linearise(
+        self,
+        function: Function,
+        like: Float[Array, "n n"],
+        noise_std: Float[Array, " w"] | None,
+    ) -> tuple[Any, Float[Array, "m n"], Float[Array, "m w"]]:
+        """Value at the origin, and the derivatives by the error and by the noise."""
+        size, noises = like.shape[0], 0 if noise_std is None else noise_std.shape[0]
+        origin = jnp.zeros(size + noises, like.dtype)
+
+        def whole(joint: Float[Array, " nw"]) -> Any:
+            return function(*jnp.split(joint, [size]) if noise_std is not None else (joint,))
 
         mean = whole(origin)
         values = space(mean)
 
-        def deviation(joint):
+        def deviation(joint: Float[Array, " nw"]) -> Float[Array, " m"]:
             return values.boxminus(whole(joint), mean)
 
         if self.affine_only and not is_affine(deviation, origin):
@@ -79,18 +150,10 @@ class Taylor(AbstractPropagation):
                 f"{type(mean).__qualname__} depends nonlinearly on the state or the noise; "
                 "use 'extended' or 'unscented'"
             )
-        jacobian = jax.jacfwd(deviation)(origin)
-        slope = jacobian[:, : sizes[0]]
-        image = slope @ cov @ slope.T
-        if noise_std is not None:
-            spread = jacobian[:, sizes[0] :] * noise_std[None]
-            image = image + spread @ spread.T
-
-        def remainder(gain):
-            rest = jnp.eye(sizes[0]) - gain @ slope
-            return rest @ cov @ rest.T
-
-        return Image(mean, image, cov @ slope.T, remainder)
+        # A model may compute in another precision than the belief has.
+        jacobian = jax.jacfwd(deviation)(origin).astype(like.dtype)
+        slope, effect = jnp.split(jacobian, [size], axis=1)
+        return mean, slope, effect
 
 
 class SigmaPoints(AbstractPropagation):
@@ -101,37 +164,81 @@ class SigmaPoints(AbstractPropagation):
     """
 
     rule: Callable[[int], Rule] = eqx.field(static=True)
+    negative: bool = eqx.field(static=True, default=False)
+    """Whether the rule has a negative covariance weight in some number of variables."""
+
+    @property
+    def signed(self) -> bool:
+        """As the rule."""
+        return self.negative
 
     def image(
         self,
-        function: Callable[..., Any],
+        function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
     ) -> Image:
         """Push the points of the joint error and noise through the function."""
-        size, noises = cov.shape[0], 0 if noise_std is None else noise_std.shape[0]
-        rule = self.rule(size + noises)
-        errors = jnp.asarray(rule.points[:, :size]) @ square_root(cov).T
-        arguments: tuple[Array, ...] = (errors,)
-        if noise_std is not None:
-            arguments += (jnp.asarray(rule.points[:, size:]) * noise_std[None],)
-        images = jax.vmap(function)(*arguments)
-        values = space(images)
-        centre = jax.tree.map(lambda leaf: leaf[0], images)
-        offsets = jax.vmap(values.boxminus, (0, None))(images, centre)
-        shift = jnp.asarray(rule.mean_weights) @ offsets
-        spread = offsets - shift[None]
-        weights = jnp.asarray(rule.cov_weights)[:, None]
+        rule, mean, errors, spread = self._push(function, square_root(cov), noise_std)
+        weights = jnp.asarray(rule.cov_weights, cov.dtype)[:, None]
+        sound = _definite if rule.cov_weights.min() < 0 else _symmetric
 
-        def remainder(gain):
+        def remainder(gain: Float[Array, "n m"]) -> Float[Array, "n n"]:
             # The points stand for cov exactly only under weights without beta's correction
             # of the centre; at the centre the error is zero, so the sum is right with it.
             rest = errors - spread @ gain.T
             return rest.T @ (weights * rest)
 
-        return Image(
-            mean=values.boxplus(centre, shift),
-            cov=spread.T @ (weights * spread),
-            cross=errors.T @ (weights * spread),
-            remainder=remainder,
-        )
+        image, repairs = sound(spread.T @ (weights * spread))
+        return Image(mean, image, errors.T @ (weights * spread), remainder, sound, repairs)
+
+    def factors(
+        self,
+        function: Function,
+        root: Float[Array, "n n"],
+        noise_std: Float[Array, " w"] | None = None,
+    ) -> Factors:
+        """Deviations of the points from their mean, times the roots of their weights."""
+        rule, mean, errors, spread = self._push(function, root, noise_std)
+        if rule.cov_weights.min() < 0:
+            raise ContractError(
+                f"a weight of {rule.cov_weights.min():g} has no root: square-root forms need "
+                "rules without negative weights, such as 'cubature'"
+            )
+        # A point without weight adds nothing.
+        used = rule.cov_weights > 0
+        weights = jnp.sqrt(jnp.asarray(rule.cov_weights[used], root.dtype))[None]
+        return Factors(mean, errors[used].T * weights, spread[used].T * weights)
+
+    def _push(
+        self,
+        function: Function,
+        root: Float[Array, "n n"],
+        noise_std: Float[Array, " w"] | None,
+    ) -> tuple[Rule, Any, Float[Array, "k n"], Float[Array, "k m"]]:
+        """The rule, the mean, and each point's deviation before and after."""
+        size, noises = root.shape[0], 0 if noise_std is None else noise_std.shape[0]
+        rule = self.rule(size + noises)
+        points = jnp.asarray(rule.points, root.dtype)
+        errors = points[:, :size] @ root.T
+        arguments: tuple[Array, ...] = (errors,)
+        if noise_std is not None:
+            arguments += (points[:, size:] * noise_std[None],)
+        images = jax.vmap(function)(*arguments)
+        values = space(images)
+        centre = jax.tree.map(lambda leaf: leaf[0], images)
+        # A model may compute in another precision than the belief has.
+        offsets = jax.vmap(values.boxminus, (0, None))(images, centre).astype(root.dtype)
+        shift = jnp.asarray(rule.mean_weights, root.dtype) @ offsets
+        return rule, values.boxplus(centre, shift), errors, offsets - shift[None]
+
+
+def _definite(
+    cov: Float[Array, "k k"],
+) -> tuple[Float[Array, "k k"], Int[Array, ""]]:
+    """Symmetric and semi-definite, and how many pivots had to be lifted for that."""
+    return definite(symmetric(cov))
+
+
+def _symmetric(cov: Float[Array, "k k"]) -> tuple[Float[Array, "k k"], int]:
+    return symmetric(cov), 0
