@@ -16,7 +16,7 @@ from kedge.core.manifolds import Euclidean
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
-from kedge.estimation.step import take_in
+from kedge.estimation.step import Standing, take_in
 from kedge.filters.extended import ExtendedKalman
 from kedge.filters.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
@@ -60,7 +60,9 @@ def test_false_alarms_come_at_the_rate_asked_for():
     def verdict(white, present):
         seen = State(jnp.where(present, spread @ white, jnp.nan))
         reading = Readings(seen, jnp.asarray(0))
-        _, outcome = take_in(ExtendedKalman(), gauge, prior, reading, jr.key(0), 6)
+        _, outcome = take_in(
+            ExtendedKalman(), gauge, Standing(prior), reading, 0.0, jr.key(0), 6
+        )
         return outcome.verdict, outcome.dof
 
     patterns = np.array([[0, 0, 1, 0, 0, 0], [1, 0, 0, 0, 1, 0], [0, 1, 0, 1, 1, 0], [1] * 6])

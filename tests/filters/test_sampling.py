@@ -1,4 +1,4 @@
-"""Ensemble and particles: what they report is what they carry."""
+"""Particles: what they report is what they carry. Ensembles: test_ensembles.py."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,6 @@ import scipy
 
 from kedge.core.beliefs import Gaussian, Particles
 from kedge.core.errors import ContractError
-from kedge.filters.ensemble import EnsembleKalman
 from kedge.filters.particle import BootstrapParticle
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
@@ -20,46 +19,17 @@ PRIOR = Gaussian(
 )
 
 
-@pytest.mark.parametrize("filter", [EnsembleKalman, BootstrapParticle])
-def test_one_sample_is_no_sample(filter):
+def test_one_sample_is_no_sample():
     with pytest.raises(ContractError, match="count is 1, must be at least 2"):
-        filter(count=1)
+        BootstrapParticle(count=1)
 
 
-@pytest.mark.parametrize(
-    "filter", [EnsembleKalman(count=20_000), BootstrapParticle(count=20_000)]
-)
-def test_samples_stand_for_the_prior(filter, key):
+def test_samples_stand_for_the_prior(key):
+    filter = BootstrapParticle(count=20_000)
     found = quick_jit(lambda key: filter.init(PRIOR, key).moments())(key)
     # The standard error of a variance is sqrt(2 / N) of it: 1 %.
     np.testing.assert_allclose(found.mean.position, [1, 2], atol=0.06)
     np.testing.assert_allclose(np.diag(found.cov), [4, 1, 0.01], rtol=0.05)
-
-
-def test_the_ensemble_moves_by_the_gain_of_its_own_sample(key):
-    """With an exact sensor, all members agree with the reading and their spread is gone."""
-    filter = EnsembleKalman(count=30)
-
-    @quick_jit
-    def update(key):
-        belief = filter.init(PRIOR, key)
-        after, score = filter.update(
-            Gnss(std=1e-9), belief, Measurement(jnp.array([3.0, 0.0])), key
-        )
-        return belief, after, score
-
-    before, after, score = update(key)
-    np.testing.assert_allclose(after.members.position, np.tile([3.0, 0.0], (30, 1)), atol=1e-6)
-    # What the innovation says of the spread is the sample covariance of what was expected.
-    np.testing.assert_allclose(
-        score.cov, np.cov(np.asarray(before.members.position).T), rtol=1e-9
-    )
-    # The heading follows by its sample correlation with the position, which is not quite zero.
-    sample = np.cov(np.column_stack([before.members.position, before.members.heading]).T)
-    slope = np.linalg.solve(sample[:2, :2], sample[:2, 2])
-    shift = np.asarray(after.members.heading - before.members.heading)
-    expected = (np.array([3.0, 0.0]) - np.asarray(before.members.position)) @ slope
-    np.testing.assert_allclose(shift, expected, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -81,9 +81,10 @@ def cycles(name):
         def body(belief, _):
             before = filter.predict(Body(), belief, (), 0.1, key)
             after, _ = filter.update(Exact(), before, Seen(jnp.array([3e2, -0.5, 1e-3])), key)
-            return after, (before.cov, after.cov)
+            return after, (before.moments().cov, after.moments().cov)
 
-        return jax.lax.scan(body, Gaussian(Body().start(), cov), length=30)[1]
+        prior = filter.init(Gaussian(Body().start(), cov), key)
+        return jax.lax.scan(body, prior, length=30)[1]
 
     return jax.tree.map(np.asarray, run(COV))
 

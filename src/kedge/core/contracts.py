@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
@@ -88,6 +89,29 @@ class AbstractMeasurementModel(eqx.Module, Generic[Z]):
     def dof(self) -> Int[Array, ""] | int:
         """How many components of the measurement are there."""
 
+    def noise_variance(self, state: Any) -> Float[Array, " m"] | None:
+        """Diagonal of ``noise_cov`` if its components are independent by construction.
+
+        None if that is not known before tracing; filters of large measurements then need the
+        whole matrix.
+        """
+        del state
+        return None
+
+    def distances(self, state: Any) -> Float[np.ndarray, "m n"] | None:
+        """How far each measured component lies from each component of the state.
+
+        In any one unit, NaN for components without a place; None if there are no distances,
+        and then filters that localise refuse the measurement. It follows from the types alone,
+        before tracing: ``state`` is looked at for its class only.
+        """
+        del state
+        return None
+
+    def source(self) -> str:
+        """Name of the installed sensor; filters that learn keep what they learn by it."""
+        return ""
+
 
 class AbstractSensor(AbstractMeasurementModel[Z]):
     """A measurement model that works on every vehicle with the state fields it reads.
@@ -119,8 +143,12 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
 
     def noise_cov(self, state: Any) -> Float[Array, "m m"]:
         """Independent components: the squares of ``noise_std`` on the diagonal."""
-        outputs = space_of(self.measures)
-        return jnp.diag(outputs.flatten(self.noise_std(self.project(state))) ** 2)
+        return jnp.diag(self._variance(state))
+
+    def noise_variance(self, state: Any) -> Float[Array, " m"] | None:
+        """The squares of ``noise_std``, unless the sensor has a ``noise_cov`` of its own."""
+        own = type(self).noise_cov is not AbstractSensor.noise_cov
+        return None if own else self._variance(state)
 
     def dof(self) -> int:
         """Size of the measurement."""
@@ -130,6 +158,9 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
         """The fields in ``reads`` of a state, defaults filled in."""
         fields = (f for f in self.reads._fields if hasattr(state, f))
         return self.reads(**{f: getattr(state, f) for f in fields})
+
+    def _variance(self, state: Any) -> Float[Array, " m"]:
+        return space_of(self.measures).flatten(self.noise_std(self.project(state))) ** 2
 
     def facing(self, index: Int[Array, ""] | int) -> "AbstractSensor[Z]":
         """The sensor looking at target ``index`` of its map; itself if it has no map."""
@@ -152,10 +183,22 @@ class Innovation(NamedTuple):
     accepted: Bool[Array, ""] | bool = True
     threshold: Float[Array, ""] | float = float("inf")
     """Bound on ``nis`` beyond which a gate refuses the reading."""
+    effective_size: Float[Array, ""] | float = float("nan")
+    """Effective number of particles after weighing, before resampling: 0 if none explains the
+    reading, NaN for filters without weights."""
+    resampled: Bool[Array, ""] | bool = False
+    """Whether particles were resampled."""
+    repairs: Int[Array, ""] | int = 0
+    """How many pivots of a covariance had to be lifted to zero for this update."""
 
 
 class AbstractFilter(eqx.Module, Generic[B]):
     """A recursive estimator as three pure functions of a belief."""
+
+    def aboard(self, sources: tuple[str, ...]) -> "AbstractFilter[B]":
+        """The filter, told by the driver which installed sensors it will hear of."""
+        del sources
+        return self
 
     @abc.abstractmethod
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> B:
@@ -174,16 +217,19 @@ class AbstractFilter(eqx.Module, Generic[B]):
         """Condition the belief on one measurement."""
 
 
-class AbstractGaussianFilter(AbstractFilter[Gaussian]):
-    """A filter whose belief is one Gaussian and whose prediction can be smoothed."""
+class AbstractGaussianFilter(AbstractFilter[Any]):
+    """A filter whose belief is one Gaussian and whose prediction can be smoothed.
+
+    The belief is a ``Gaussian`` unless ``init`` makes another form of it.
+    """
 
     @abc.abstractmethod
     def transition(
-        self, vehicle: AbstractVehicle, belief: Gaussian, control: Any, dt: Scalar
-    ) -> tuple[Gaussian, Float[Array, "n n"]]:
+        self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar
+    ) -> tuple[Any, Float[Array, "n n"]]:
         """The predicted belief, and the covariance of the state before with that after."""
 
-    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Gaussian:
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Any:
         """The prior itself."""
         del key
         return prior
@@ -191,11 +237,11 @@ class AbstractGaussianFilter(AbstractFilter[Gaussian]):
     def predict(
         self,
         vehicle: AbstractVehicle,
-        belief: Gaussian,
+        belief: Any,
         control: Any,
         dt: Scalar,
         key: PRNGKeyArray,
-    ) -> Gaussian:
+    ) -> Any:
         """The transition without its cross-covariance."""
         del key
         return self.transition(vehicle, belief, control, dt)[0]

@@ -161,12 +161,12 @@ class Space(Generic[S]):
     def boxminus(self, point: S, base: S) -> Float[Array, " n"]:
         """Tangent vector that moves ``base`` to ``point``."""
         parts = [c.boxminus(p, b) for c, p, b in zip(self.charts, point, base, strict=True)]
-        return jnp.concatenate([jnp.zeros(0), *parts])
+        return jnp.concatenate(parts) if parts else self.zeros()
 
     def flatten(self, tangent: S) -> Float[Array, " n"]:
         """Concatenate a tangent-valued ``NamedTuple`` (a noise, a rate) to a vector."""
-        parts = [jnp.ravel(jnp.asarray(v)) for v in tangent]
-        return jnp.concatenate([jnp.zeros(0), *parts])
+        parts = [jnp.ravel(1.0 * jnp.asarray(v)) for v in tangent]
+        return jnp.concatenate(parts) if parts else self.zeros()
 
     def unflatten(self, vector: Float[Array, " n"]) -> S:
         """Undo :meth:`flatten`."""

@@ -77,8 +77,7 @@ class Registry(Generic[T]):
         return sorted(self._members)
 
     def name_of(self, cls: type) -> str:
-        """The name under which ``cls`` is registered."""
-        self._discover()
+        """The name under which ``cls`` is registered; else what the class is called."""
         return next((n for n, member in self._members.items() if member is cls), cls.__name__)
 
     def _discover(self) -> None:

@@ -6,9 +6,11 @@ error-state filter.
 """
 
 import abc
-from typing import Any
+from typing import Any, NamedTuple
 
-from jaxtyping import Array, Float, PRNGKeyArray
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import (
@@ -17,15 +19,58 @@ from kedge.core.contracts import (
     AbstractVehicle,
     Innovation,
 )
-from kedge.core.manifolds import space
+from kedge.core.manifolds import Circle, Euclidean, space
 from kedge.core.quantities import Scalar
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, symmetric
 from kedge.numerics.noise import process_std
-from kedge.numerics.propagation import AbstractPropagation
+from kedge.numerics.propagation import AbstractPropagation, Function
 
 
-class AbstractMomentFilter(AbstractGaussianFilter):
+class RepairedGaussian(NamedTuple):
+    """A normal distribution, and the repairs of its covariance that no update has told yet."""
+
+    mean: Any
+    cov: Float[Array, "*batch n n"]
+    repairs: Int[Array, "*batch"]
+
+    def moments(self) -> Gaussian:
+        """Mean and covariance."""
+        return Gaussian(self.mean, self.cov)
+
+    def widened(self, factor: Scalar) -> Any:
+        """The same mean, the covariance multiplied by ``factor``."""
+        return self._replace(cov=self.cov * factor)
+
+
+class AbstractMomentPrediction(AbstractGaussianFilter):
+    """A Gaussian filter that predicts by pushing moments through the vehicle's step."""
+
+    @abc.abstractmethod
+    def strategy(self) -> AbstractPropagation:
+        """How a Gaussian is pushed through the vehicle and the sensor."""
+
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Any:
+        """The prior; with a count of repairs if the strategy can make them necessary."""
+        del key
+        if self.strategy().signed:
+            return RepairedGaussian(prior.mean, prior.cov, jnp.zeros((), int))
+        return prior
+
+    def transition(
+        self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar
+    ) -> tuple[Any, Float[Array, "n n"]]:
+        """Push the belief and the process noise through the vehicle's step."""
+        step = motion(vehicle, belief.mean, control, dt)
+        std = process_std(vehicle, dt).astype(belief.cov.dtype)
+        image = self.strategy().image(step, belief.cov, std)
+        after = belief._replace(mean=image.mean, cov=image.cov)
+        if isinstance(after, RepairedGaussian):
+            after = after._replace(repairs=after.repairs + image.repairs)
+        return after, image.cross
+
+
+class AbstractMomentFilter(AbstractMomentPrediction):
     r"""Match moments, then condition the joint Gaussian of state and measurement.
 
     $K = P_{xz} S^{-1}$, $x^+ = x \boxplus K (z \boxminus \hat z)$,
@@ -35,43 +80,70 @@ class AbstractMomentFilter(AbstractGaussianFilter):
     and Navigation", 2001, section 5.2 (the Joseph form).
     """
 
-    @abc.abstractmethod
-    def strategy(self) -> AbstractPropagation:
-        """How a Gaussian is pushed through the vehicle and the sensor."""
-
-    def transition(
-        self, vehicle: AbstractVehicle, belief: Gaussian, control: Any, dt: Scalar
-    ) -> tuple[Gaussian, Float[Array, "n n"]]:
-        """Push the belief and the process noise through the vehicle's step."""
-        states, noises = space(belief.mean), space(vehicle.noise_density())
-
-        def step(error, noise):
-            state = states.boxplus(belief.mean, error)
-            return vehicle.step(state, control, noises.unflatten(noise), dt)
-
-        image = self.strategy().image(step, belief.cov, process_std(vehicle, dt))
-        return Gaussian(image.mean, symmetric(image.cov)), image.cross
-
     def update(
         self,
         model: AbstractMeasurementModel,
-        belief: Gaussian,
+        belief: Any,
         measurement: Any,
         key: PRNGKeyArray,
-    ) -> tuple[Gaussian, Innovation]:
+    ) -> tuple[Any, Innovation]:
         """Condition on one measurement."""
         del key
-        states = space(belief.mean)
-        image = self.strategy().image(
-            lambda error: model.expect(states.boxplus(belief.mean, error)), belief.cov
-        )
-        noise_cov = model.noise_cov(belief.mean)
+        image = self.strategy().image(sight_of(model, belief.mean), belief.cov)
+        noise_cov = model.noise_cov(belief.mean).astype(belief.cov.dtype)
         cov = symmetric(image.cov + noise_cov)
         root = cholesky(cov)
         K = gain(image.cross, root)
-        residual = space(image.mean).boxminus(measurement, image.mean)
-        posterior = Gaussian(
-            mean=states.boxplus(belief.mean, K @ residual),
-            cov=symmetric(image.remainder(K) + K @ noise_cov @ K.T),
-        )
-        return posterior, innovation(residual, cov, root, model.dof())
+        residual = space(image.mean).boxminus(measurement, image.mean).astype(cov.dtype)
+        after, lifted = image.sound(image.remainder(K) + K @ noise_cov @ K.T)
+        repairs = image.repairs + lifted
+        mean, turn = moved(belief.mean, K @ residual)
+        posterior = belief._replace(mean=mean, cov=turned(turn, after))
+        if isinstance(belief, RepairedGaussian):
+            repairs = repairs + belief.repairs
+            posterior = posterior._replace(repairs=jnp.zeros_like(belief.repairs))
+        score = innovation(residual, cov, root, model.dof())
+        return posterior, score._replace(repairs=repairs)
+
+
+def motion(vehicle: AbstractVehicle, mean: Any, control: Any, dt: Scalar) -> Function:
+    """The vehicle's step as a function of the error about ``mean`` and of the noise."""
+    states, noises = space(mean), space(vehicle.noise_density())
+
+    def step(error: Float[Array, " n"], noise: Float[Array, " w"]) -> Any:
+        state = states.boxplus(mean, error)
+        return vehicle.step(state, control, noises.unflatten(noise), dt)
+
+    return step
+
+
+def sight_of(model: AbstractMeasurementModel, mean: Any) -> Function:
+    """The expected measurement as a function of the error about ``mean``."""
+    states = space(mean)
+    return lambda error: model.expect(states.boxplus(mean, error))
+
+
+def moved(mean: Any, shift: Float[Array, " n"]) -> tuple[Any, Float[Array, "n n"] | None]:
+    r"""The mean after a correction, and what the move does to errors about it.
+
+    $J = \partial ((x \boxplus (\delta + \epsilon)) \boxminus (x \boxplus \delta)) / \partial
+    \epsilon$ turns errors about the old mean into errors about the new one; None where every
+    chart is flat, since it is the identity there.
+
+    Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017,
+    arXiv 1711.02508, section 6.3.
+    """
+    states = space(mean)
+    after = states.boxplus(mean, shift)
+    if all(isinstance(chart, (Euclidean, Circle)) for chart in states.charts):
+        return after, None
+
+    def reset(error: Float[Array, " n"]) -> Float[Array, " n"]:
+        return states.boxminus(states.boxplus(mean, shift + error), after)
+
+    return after, jax.jacfwd(reset)(jnp.zeros_like(shift))
+
+
+def turned(turn: Float[Array, "n n"] | None, cov: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A covariance of errors about the old mean as one about the new mean."""
+    return cov if turn is None else symmetric(turn @ cov @ turn.T)

@@ -14,9 +14,14 @@ from kedge.numerics.quadrature import unscented
 class UnscentedKalman(AbstractMomentFilter):
     r"""Sigma points at $\pm\sqrt{n + \lambda}$, $\lambda = \alpha^2 (n + \kappa) - n$.
 
+    ``alpha`` pulls the points towards the mean, ``kappa`` sets their distance in states of
+    one component (2 fits a Gaussian's fourth moment there), ``beta`` adds to the weight of the
+    centre in covariances (2 is best for a Gaussian seen through a quadratic).
+
     With the defaults (alpha 1, beta 0, kappa 1) all weights are positive, so that covariances
     stay positive semi-definite. alpha 1e-3, beta 2, kappa 0 are the values often quoted for
-    the scaled form; their centre weight is about -1e6.
+    the scaled form; their centre weight is about -1e6. A covariance that negative weights make
+    indefinite is repaired, and the next innovation says how many pivots had to be lifted.
 
     Source: S. Julier and J. Uhlmann, "Unscented filtering and nonlinear estimation", Proc.
     IEEE 92(3), 2004; E. Wan and R. van der Merwe, "The unscented Kalman filter for nonlinear
@@ -32,6 +37,10 @@ class UnscentedKalman(AbstractMomentFilter):
 
     def strategy(self) -> SigmaPoints:
         """The scaled unscented rule."""
+        # The centre's weight 1 - n / (alpha^2 (n + kappa)) is monotone in n = 1, 2, ...
+        ends = (1 / (1 + self.kappa), 1.0)
+        lowest = min(1 - end / self.alpha**2 for end in ends) + 1 - self.alpha**2 + self.beta
         return SigmaPoints(
-            ft.partial(unscented, alpha=self.alpha, beta=self.beta, kappa=self.kappa)
+            ft.partial(unscented, alpha=self.alpha, beta=self.beta, kappa=self.kappa),
+            negative=lowest < 0,
         )
