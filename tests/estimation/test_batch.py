@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import jax
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
@@ -13,14 +14,17 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError, DataError
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import estimate, estimate_with_history, pass_over
+from kedge.estimation.log import Log, Schedule
 from kedge.estimation.rig import Installation, Mount, Rig, as_arrays
 from kedge.estimation.runs import estimate_runs
 from kedge.filters.ensemble import EnsembleKalman
 from kedge.filters.extended import ExtendedKalman
 from kedge.filters.gated import Gated
+from kedge.filters.particle import BootstrapParticle
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.testing import quick_jit
+from kedge.vehicles.lorenz96 import Lorenz96
 from kedge.vehicles.unicycle import Unicycle
 
 
@@ -223,9 +227,9 @@ def test_a_sensor_that_never_fires(rig, log, extended):
     np.testing.assert_allclose(found.moments.cov, expected.moments.cov, rtol=1e-12)
 
 
-def test_only_gaussians_can_be_smoothed(rig, log):
-    for filter in (EnsembleKalman(), Gated()):
-        with pytest.raises(ContractError, match="cannot be smoothed: it carries no Gaussian"):
+def test_particles_cannot_be_smoothed(rig, log):
+    for filter in (BootstrapParticle(count=5), Gated(BootstrapParticle(count=5))):
+        with pytest.raises(ContractError, match="BootstrapParticle cannot be smoothed"):
             estimate_with_history(filter, rig, log)
 
 
@@ -233,3 +237,22 @@ def test_history_changes_no_estimate(rig, log, extended):
     run = quick_jit(lambda log: estimate_with_history(ExtendedKalman(), rig, log)[0].moments)
     for a, b in zip(*map(jax.tree.leaves, (run(log), extended().moments)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+def test_what_is_not_kept_is_not_stored(key):
+    """A thousand states: 8 MB a covariance, 1.6 GB for the log; the means are 2 MB."""
+    vehicle, steps = Lorenz96(size=1000), 200
+    rig = Rig(vehicle, (), Gaussian(vehicle.start(), 1e-6 * jnp.eye(1000)))
+    log = Log(
+        Schedule(0.01 * (1 + jnp.arange(steps)), jnp.full(steps, -1), jnp.zeros(steps, int)),
+        jax.tree.map(lambda leaf: jnp.zeros((steps, *jnp.shape(leaf))), vehicle.drive(0.0)),
+        (),
+    )
+    filter = EnsembleKalman(count=5)
+
+    def means(key):
+        return estimate(filter, rig, log, key, keep=lambda found: found.moments.mean)
+
+    compiled = jax.jit(means).lower(key).compile()
+    assert compiled.memory_analysis().temp_size_in_bytes < 50e6
+    assert jax.tree.leaves(compiled(key))[0].shape == (steps, 1000)

@@ -11,7 +11,7 @@ from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
-from kedge.estimation.step import take_in
+from kedge.estimation.step import Standing, take_in
 from kedge.filters.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmarks
@@ -27,12 +27,20 @@ GOOD = (np.hypot(20.0, 30.0), np.arctan2(30.0, 20.0))
 R = np.array([[0.25, 0.001], [0.001, 0.0004]])
 
 
+def take(filter, installation, belief, reading, width):
+    """One reading on its own: the belief after it, and what became of it."""
+    standing, outcome = take_in(
+        filter, installation, Standing(belief), reading, 0.0, jax.random.key(0), width
+    )
+    return standing.belief, outcome
+
+
 @pytest.fixture(scope="module")
 def camera():
     @quick_jit
     def judge(distance, bearing, target, cov):
         reading = Readings(Sight(distance, bearing), target, cov)
-        return take_in(ExtendedKalman(), GATED, BELIEF, reading, jax.random.key(0), 3)
+        return take(ExtendedKalman(), GATED, BELIEF, reading, 3)
 
     def run(distance=GOOD[0], bearing=GOOD[1], target=0, cov=R):
         return judge(*map(np.asarray, (distance, bearing, target, cov)))
@@ -131,7 +139,7 @@ def test_a_sensor_that_breaks_down_is_told_from_a_gated_reading(std, key):
     for gate in (None, 0.01):
         installation = Installation("broken", Broken(), gate=gate)
         belief, outcome = quick_jit(
-            lambda belief, i=installation: take_in(ExtendedKalman(), i, belief, reading, key, 2)
+            lambda belief, i=installation: take(ExtendedKalman(), i, belief, reading, 2)
         )(BELIEF)
         assert Verdict(int(outcome.verdict)) == Verdict.NOT_FINITE
         np.testing.assert_array_equal(belief.cov, BELIEF.cov)
@@ -140,7 +148,7 @@ def test_a_sensor_that_breaks_down_is_told_from_a_gated_reading(std, key):
 def test_what_a_filter_leaves_out_on_purpose_is_dropped(key):
     reading = Readings(Measurement(jnp.ones(2)), jnp.asarray(0))
     belief, outcome = quick_jit(
-        lambda belief: take_in(filters.make("dead-reckoning"), PLAIN, belief, reading, key, 2)
+        lambda belief: take(filters.make("dead-reckoning"), PLAIN, belief, reading, 2)
     )(BELIEF)
     assert Verdict(int(outcome.verdict)) == Verdict.DROPPED
     np.testing.assert_allclose(outcome.nis, 2 / 1.1)

@@ -10,12 +10,19 @@ from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter
-from kedge.core.errors import ContractError
+from kedge.core.contracts import AbstractFilter
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Log
+from kedge.estimation.passage import is_smoothable, passage, require_smoothable
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.estimation.step import Outcome, advance, condition, event_keys
+from kedge.estimation.step import (
+    Outcome,
+    Standing,
+    advance,
+    begin,
+    condition,
+    event_keys,
+)
 
 
 class Estimates(NamedTuple):
@@ -26,35 +33,35 @@ class Estimates(NamedTuple):
     outcome: Outcome
 
 
-class History(NamedTuple):
-    """What smoothing needs of each event's prediction."""
-
-    predicted: Gaussian
-    cross: Float[Array, "T n n"]
-    """Covariance of the state after the event before with the state predicted here."""
-
-
 def estimate(
-    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
-) -> Estimates:
-    """Run ``filter`` over every event of ``log``; return its moments after each.
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log,
+    key: PRNGKeyArray | None = None,
+    keep: Callable[[Estimates], Any] | None = None,
+) -> Any:
+    """Run ``filter`` over every event of ``log``; return its :class:`Estimates`.
 
     ``key`` feeds the filters that draw random numbers; without one it is ``jax.random.key(0)``.
+    ``keep`` picks inside the compiled program what is returned of the estimates, and nothing
+    else is stored: the covariances of a thousand states at every event would not fit.
     """
     filter, rig, log = as_arrays((filter, rig, log))
+    if keep is not None:
+        return _kept(filter, rig, log, _key(key), keep)
     return scan(filter, rig, log, _key(key), False)[0]
 
 
 def estimate_with_history(
     filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
-) -> tuple[Estimates, History]:
+) -> tuple[Estimates, Any]:
     """Like :func:`estimate`, and keep what a smoother needs.
 
     Raises:
-        ContractError: the filter does not carry a Gaussian.
+        ContractError: the filter carries neither a Gaussian nor an ensemble.
     """
     filter, rig, log = as_arrays((filter, rig, log))
-    require_gaussian(filter)
+    require_smoothable(filter)
     return scan(filter, rig, log, _key(key), True)
 
 
@@ -66,26 +73,13 @@ def compile_estimate(
     The call returned gives the estimates and, with ``keep``, the history.
 
     Raises:
-        ContractError: ``keep`` with a filter that does not carry a Gaussian.
+        ContractError: ``keep`` with a filter that cannot be smoothed.
     """
     arguments = (*as_arrays((filter, rig, log)), _key(key), keep)
     if keep:
-        require_gaussian(filter)
+        require_smoothable(filter)
     compiled = scan.lower(*arguments).compile()
     return lambda: compiled(*arguments)
-
-
-def require_gaussian(filter: AbstractFilter) -> None:
-    """Refuse to smooth what has no Gaussian.
-
-    Raises:
-        ContractError: the filter does not carry a Gaussian.
-    """
-    if not isinstance(filter, AbstractGaussianFilter):
-        raise ContractError(
-            f"{type(filter).__name__} cannot be smoothed: it carries no Gaussian; "
-            "use a Gaussian filter such as 'extended' or 'unscented'"
-        )
 
 
 def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
@@ -97,45 +91,56 @@ def pass_over(
 ) -> tuple[Estimates, Any]:
     """The pass behind the functions above, for callers that batch or compile it themselves.
 
-    Parameters must be arrays already; with ``keep`` the second result is a :class:`History`.
+    Parameters must be arrays already; with ``keep`` the second result is the history.
     """
 
     def predict(belief, control, dt, key):
-        if not (keep and isinstance(filter, AbstractGaussianFilter)):
-            return advance(filter, rig.vehicle, belief, control, dt, key), None
-        belief, cross = lax.cond(
-            dt > 0,
-            lambda gaussian=filter: gaussian.transition(rig.vehicle, belief, control, dt),
-            lambda: (belief, belief.cov),
-        )
-        return belief, History(belief, cross)
+        motion = filter, rig.vehicle, belief, control, dt, key
+        if keep and is_smoothable(filter):
+            return passage(*motion)
+        return advance(*motion), None
 
-    def body(carry: tuple[Any, Any, Any], event: Any) -> tuple[Any, Any]:
-        belief, last, count = carry
+    def body(carry: tuple[Standing, Any, Any, Any], event: Any) -> tuple[Any, Any]:
+        standing, last, moves, takes = carry
         (time, sensor, row), control = event
         # Older than the belief: nothing happens, and the event does not count (as online).
         late = time < last
-        count = count + jnp.where(late, 0, 1)
-        predict_key, update_key = event_keys(key, count)
-        belief, history = predict(belief, control, time - last, predict_key)
-        belief, outcome = condition(
+        moves = moves + jnp.where(time > last, 1, 0)
+        takes = takes + jnp.where(late | (sensor < 0), 0, 1)
+        predict_key, update_key = event_keys(key, moves, takes)
+        belief, history = predict(standing.belief, control, time - last, predict_key)
+        standing, outcome = condition(
             filter,
             rig.sensors,
-            belief,
+            standing._replace(belief=belief),
             log.readings,
             jnp.where(late, -1, sensor),
             row,
+            time,
             update_key,
         )
         verdict = jnp.where(late & (sensor >= 0), Verdict.LATE, outcome.verdict)
         outcome = outcome._replace(verdict=verdict)
-        return (belief, jnp.maximum(time, last), count), (belief.moments(), outcome, history)
+        carry = standing, jnp.maximum(time, last), moves, takes
+        return carry, (standing.belief.moments(), outcome, history)
 
-    belief = filter.init(rig.prior, event_keys(key, 0)[0])
-    start = belief, jnp.zeros(()), jnp.zeros((), int)
+    filter = filter.aboard(rig.names)
+    none = jnp.zeros((), int)
+    start = begin(filter, rig, key), jnp.zeros(()), none, none
     events = log.schedule, log.controls
     _, (moments, outcome, history) = lax.scan(body, start, events)
     return Estimates(log.schedule.time, moments, outcome), history
+
+
+@eqx.filter_jit
+def _kept(
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log,
+    key: PRNGKeyArray,
+    keep: Callable[[Estimates], Any],
+) -> Any:
+    return keep(pass_over(filter, rig, log, key, False)[0])
 
 
 scan: Any = eqx.filter_jit(pass_over)

@@ -16,6 +16,8 @@ from jaxtyping import Array, Float, Int
 from kedge.core.errors import DataError
 
 SECOND = 1_000_000_000  # ns
+REPEATED = -2
+"""In place of a target: the same reading stands in the log already."""
 
 
 class Schedule(NamedTuple):
@@ -35,7 +37,8 @@ class Readings(NamedTuple):
     measurement: Any
     """NaN where a component is missing."""
     target: Int[Array, "*n"]
-    """Index on the sensor's map; -1 for a target that is not on it, 0 without a map."""
+    """Index on the sensor's map, 0 without a map; -1 for a target that is not on it, -2
+    (``REPEATED``) for a reading that stands in the log already."""
     cov: Float[Array, "*n m m"] | None = None
     """Covariances that came with the readings, in place of the sensor's own."""
 
@@ -122,10 +125,22 @@ def assemble(
         jnp.asarray(np.maximum(sensor, -1)),
         jnp.asarray(np.where(sensor >= 0, row, 0)),
     )
-    readings = tuple(
-        Readings(*(jax.tree.map(jnp.asarray, part) for part in source.readings))
-        for source in sources
-    )
+    readings = tuple(jax.tree.map(jnp.asarray, without_repeats(source)) for source in sources)
     return Recording(
         Log(schedule, at_events, readings), start, stamps, np.flatnonzero(sensor == -2)
     )
+
+
+def without_repeats(source: Stamped) -> Readings:
+    """Mark readings that repeat an earlier one: same time, target, values and covariance."""
+    count = len(source.stamps)
+    if len(np.unique(source.stamps)) == count:
+        return source.readings
+    columns = [np.asarray(leaf) for leaf in jax.tree.leaves((source.stamps, source.readings))]
+    flat = [np.ascontiguousarray(column.reshape(count, -1)) for column in columns]
+    rows = np.hstack([column.view(np.uint8).reshape(count, -1) for column in flat])
+    _, first = np.unique(rows, axis=0, return_index=True)
+    repeated = np.ones(count, bool)
+    repeated[first] = False
+    target = np.where(repeated, REPEATED, np.asarray(source.readings.target))
+    return source.readings._replace(target=target)

@@ -1,26 +1,43 @@
 """Online estimation: the same step, one event at a time, behind a small stateful object."""
 
+import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.core.verdicts import Verdict
-from kedge.estimation.log import Readings
+from kedge.estimation.delayed import Entry, Event, State, Window
+from kedge.estimation.log import Log, Readings
+from kedge.estimation.passage import is_smoothable, passage, require_smoothable
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.estimation.step import Outcome, advance, event_keys, silence, take_in, widest
+from kedge.estimation.smoother import backward
+from kedge.estimation.step import (
+    Outcome,
+    advance,
+    begin,
+    event_keys,
+    silence,
+    take_in,
+    widest,
+)
 
 
 class Answer(NamedTuple):
     """What an event led to."""
 
     moments: Gaussian
+    """The estimate after the newest event, in the light of this one."""
     outcome: Outcome
+    replayed: int = 0
+    """How many events were done again, since this one came late."""
 
     @property
     def verdict(self) -> Verdict:
@@ -31,8 +48,13 @@ class Answer(NamedTuple):
 class Estimator:
     """Feed events as they come; read the belief at any moment.
 
-    A control holds from its time on; until the first, ``control`` does, or nothing. An event
-    older than the belief changes nothing and gets the verdict LATE; a belief never goes back.
+    A control holds from its time on; until the first, ``control`` does, or nothing.
+
+    Events of the last ``lag`` seconds may come in any order: the estimator goes back to where
+    a late one belongs and does again what follows, so the belief is that of the run in which
+    all came in time. What is older changes nothing and gets the verdict LATE. A message that
+    comes twice gets DUPLICATE; one stamped more than ``horizon`` seconds ahead gets FUTURE,
+    since it would make everything after it late. At most ``capacity`` events are remembered.
     """
 
     def __init__(
@@ -42,14 +64,40 @@ class Estimator:
         key: PRNGKeyArray | None = None,
         start: float = 0.0,
         control: Any = None,
+        lag: float = 0.0,
+        horizon: float = math.inf,
+        capacity: int = 10_000,
     ):
+        for name, found, good in (
+            ("lag", lag, 0 <= lag < math.inf),
+            ("horizon", horizon, horizon > 0),
+            ("capacity", capacity, capacity >= 1),
+        ):
+            if not good:
+                raise DataError(f"estimator: {name} is {found}, expected {_EXPECTED[name]}")
         self._key = jax.random.key(0) if key is None else key
-        self._filter, self._rig = as_arrays((filter, rig))
+        self._filter, self._rig = as_arrays((filter.aboard(rig.names), rig))
+        self._width = widest(rig.sensors)
+        self._horizon = horizon
         still = jax.tree.map(jnp.zeros_like, as_arrays(rig.vehicle.drive(0.0)))
-        self._control = still if control is None else _floats(control)
-        self._events = 0
-        self.belief = _init(self._filter, self._rig.prior, _keys(self._key, 0)[0])
-        self.time = float(start)
+        held = still if control is None else _floats(control)
+        standing = _begin(self._filter, self._rig, self._key)
+        self._window = Window(State(standing, float(start), held, 0, 0), lag, capacity)
+
+    @property
+    def belief(self) -> Any:
+        """What the filter believes after the newest event."""
+        return self._window.newest.standing.belief
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors of its rig."""
+        return self._rig.names
+
+    @property
+    def time(self) -> float:
+        """Time of the newest event in s."""
+        return self._window.newest.time
 
     def push(
         self,
@@ -60,40 +108,132 @@ class Estimator:
         control: Any = None,
         target: int | Int[Array, ""] = 0,
         cov: Any = None,
+        sequence: int = 0,
     ) -> Answer:
         """Advance to ``time`` in s, use a reading if one is given, then hold a new control.
+
+        ``sequence`` orders readings of one sensor at one time that may arrive in any order.
 
         Raises:
             DataError: the time is not finite.
             ContractError: the rig has no such sensor.
         """
-        if not jnp.isfinite(time):
+        if not math.isfinite(time):
             raise DataError(f"event time is {time}; expected seconds since the start")
-        width = widest(self._rig.sensors)
-        if time < self.time:
-            late = silence(width)._replace(verdict=jnp.asarray(Verdict.LATE))
-            return Answer(_moments(self.belief), late)
-        count = self._events + 1
-        predict_key, update_key = _keys(self._key, count)
-        dt = jnp.asarray(time - self.time, float)
-        belief, outcome = (
-            _advance(
-                self._filter, self._rig.vehicle, self.belief, self._control, dt, predict_key
-            ),
-            silence(width),
-        )
+        rank = len(self._rig.sensors) if control is None else -1
+        reading = None
         if sensor is not None:
-            installation = self._rig.sensors[self._rig.index(sensor)]
+            rank = self._rig.index(sensor)
             seen, spread = _floats((measurement, cov))
             reading = Readings(seen, jnp.asarray(target), spread)
-            belief, outcome = _take_in(
-                self._filter, installation, belief, reading, update_key, width
-            )
+        held = None if control is None else _floats(control)
+        event = Event(float(time), rank, sequence, reading, held)
+        if time - self.time > self._horizon:
+            return self._unchanged(event, Verdict.FUTURE)
+        if self._window.too_late(time):
+            return self._unchanged(event, Verdict.LATE)
+        if self._window.holds(event):
+            return self._unchanged(event, Verdict.DUPLICATE)
+        return self._take(event)
+
+    def smoothed(self) -> list[tuple[float, Gaussian]]:
+        """The estimates of the window in the light of all its readings: a fixed-lag smoother.
+
+        The first is the most certain about the past: everything of the ``lag`` seconds after
+        it has been used.
+
+        Raises:
+            ContractError: the filter carries neither a Gaussian nor an ensemble.
+
+        Source: S. Särkkä, "Bayesian Filtering and Smoothing", 2013, sections 8.2 and 10.6.
+        """
+        require_smoothable(self._filter)
+        found: list[tuple[float, Gaussian]] = []
+        later: Any = None
+        for entry in reversed(self._window.entries):
+            filtered = _moments(entry.after.standing.belief)
+            if later is not None:
+                filtered = _backward(filtered, found[-1][1], later)
+            found.append((entry.event.time, filtered))
+            later = entry.passage
+        return found[::-1]
+
+    def _take(self, event: Event) -> Answer:
+        place = self._window.place(event)
+        state, entries = self._window.before(place), []
+        for one in (event, *(entry.event for entry in self._window.entries[place:])):
+            entries.append(self._next(state, one))
+            state = entries[-1].after
         # Only now, so that an event that raises has changed nothing.
-        if control is not None:
-            self._control = _floats(control)
-        self.belief, self.time, self._events = belief, float(time), count
-        return Answer(_moments(belief), outcome)
+        self._window.replace(place, entries)
+        return Answer(_moments(self.belief), entries[0].outcome, len(entries) - 1)
+
+    def _next(self, state: State, event: Event) -> Entry:
+        """One event done, from the state before it."""
+        moves = state.moves + (event.time > state.time)
+        takes = state.takes + (event.reading is not None)
+        predict_key, update_key = _keys(self._key, moves, takes)
+        dt = jnp.asarray(event.time - state.time, float)
+        # A smoother's share of the prediction costs little, but only a window keeps it.
+        remember = self._window.lag > 0 and is_smoothable(self._filter)
+        belief = state.standing.belief
+        motion = self._filter, self._rig.vehicle, belief, state.control, dt, predict_key
+        moved: Any = _passage(*motion) if remember else (_advance(*motion), None)
+        belief, past = moved
+        standing, outcome = state.standing._replace(belief=belief), silence(self._width)
+        if event.reading is not None:
+            standing, outcome = _take_in(
+                self._filter,
+                self._rig.sensors[event.rank],
+                standing,
+                event.reading,
+                jnp.asarray(event.time, float),
+                update_key,
+                self._width,
+            )
+        control = state.control if event.control is None else event.control
+        return Entry(event, State(standing, event.time, control, moves, takes), outcome, past)
+
+    def _unchanged(self, event: Event, verdict: Verdict) -> Answer:
+        said = verdict if event.reading is not None else Verdict.NONE
+        outcome = silence(self._width)._replace(verdict=jnp.asarray(said))
+        return Answer(_moments(self.belief), outcome)
+
+
+def replay(estimator: Estimator, log: Log) -> Iterator[Answer]:
+    """Push the events of a log in their order; one answer for each.
+
+    The estimator must have been made with the log's first control. A control is told when it
+    changes.
+    """
+    time, fired, rows = (np.asarray(part).tolist() for part in log.schedule)
+    controls, readings = jax.tree.map(np.asarray, (log.controls, log.readings))
+    for i in range(len(time)):
+        now, then = (
+            jax.tree.map(lambda leaf, at=at: leaf[at], controls)
+            for at in (i, min(i + 1, len(time) - 1))
+        )
+        pairs = zip(jax.tree.leaves(now), jax.tree.leaves(then), strict=True)
+        control = None if all(np.array_equal(a, b) for a, b in pairs) else then
+        if fired[i] < 0:
+            yield estimator.push(time[i], control=control)
+            continue
+        one = jax.tree.map(lambda leaf, at=rows[i]: leaf[at], readings[fired[i]])
+        yield estimator.push(
+            time[i],
+            estimator.sensors[fired[i]],
+            one.measurement,
+            control=control,
+            target=int(one.target),
+            cov=one.cov,
+        )
+
+
+_EXPECTED = {
+    "lag": "seconds, at least 0 and finite",
+    "horizon": "seconds above 0",
+    "capacity": "at least 1 event",
+}
 
 
 def _floats(tree: Any) -> Any:
@@ -103,7 +243,9 @@ def _floats(tree: Any) -> Any:
 
 # Compiled, because an operation that is not costs as much as an event.
 _keys = jax.jit(event_keys)
-_init = eqx.filter_jit(lambda filter, prior, key: as_arrays(filter.init(prior, key)))
+_begin = eqx.filter_jit(lambda filter, rig, key: as_arrays(begin(filter, rig, key)))
 _moments = eqx.filter_jit(lambda belief: belief.moments())
 _advance = eqx.filter_jit(advance)
+_passage = eqx.filter_jit(passage)
 _take_in = eqx.filter_jit(take_in)
+_backward = eqx.filter_jit(backward)

@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from kedge.core.contracts import AbstractMeasurementModel
@@ -49,9 +50,24 @@ class Sighting(AbstractMeasurementModel):
         both = self.present[:, None] & self.present[None, :]
         return jnp.where(both, cov, jnp.eye(cov.shape[0]))
 
+    def noise_variance(self, state: Any) -> Float[Array, " m"] | None:
+        """The sensor's, without what is missing; None if the reading has its own covariance."""
+        if self.cov is not None:
+            return None
+        variance = self.installation.noise_variance(state, self.target)
+        return None if variance is None else jnp.where(self.present, variance, 1.0)
+
+    def distances(self, state: Any) -> Float[np.ndarray, "m n"] | None:
+        """The sensor's."""
+        return self.installation.sensor.distances(state)
+
     def dof(self) -> Int[Array, ""]:
         """How many components are there."""
         return jnp.sum(self.present)
+
+    def source(self) -> str:
+        """The sensor's name."""
+        return self.installation.name
 
 
 def sight(installation: Installation, reading: Readings) -> tuple[Sighting, Any]:

@@ -14,6 +14,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.quantities import Scalar
 from kedge.core.rotations import wrap
+from kedge.numerics.losses import Loss
 
 
 class Mount(NamedTuple):
@@ -36,10 +37,18 @@ class Installation(eqx.Module):
     gate: float | None = eqx.field(static=True, default=None)
     """False-alarm probability of the sensor's gate; no gate if not given."""
     mount: Mount | None = None
-    student_dof: Scalar | None = None
-    """Degrees of freedom of the sensor's noise as a Student-t; Gaussian if not given."""
+    robust: Loss | None = None
+    """How readings far from the prediction are weighed down; not at all if not given."""
+    recovery: float | None = eqx.field(static=True, default=None)
+    """s after which a gate that refused everything lets readings in again: see
+    :func:`kedge.filters.gated.regain`. Counted together over all sensors that have it."""
 
     def __check_init__(self):
+        if self.recovery is not None and self.gate is None:
+            raise ContractError(
+                f"sensor {self.name!r}: recovery is {self.recovery:g} s, but there is no gate "
+                "to recover from"
+            )
         if not math.isfinite(self.latency):
             raise ContractError(f"sensor {self.name!r}: latency is {self.latency}, not finite")
 
@@ -50,6 +59,10 @@ class Installation(eqx.Module):
     def noise_cov(self, state: Any, target: Int[Array, ""]) -> Float[Array, "m m"]:
         """The sensor's own noise for one target."""
         return self.sensor.facing(target).noise_cov(self._moved(state))
+
+    def noise_variance(self, state: Any, target: Int[Array, ""]) -> Float[Array, " m"] | None:
+        """Its diagonal where the components are independent by construction, else None."""
+        return self.sensor.facing(target).noise_variance(self._moved(state))
 
     @property
     def targets(self) -> int | None:
@@ -106,6 +119,11 @@ class Rig(eqx.Module):
                 f"the prior's covariance has shape {jnp.shape(self.prior.cov)}, but the state "
                 f"{space_of(state).labels} needs {(size, size)}"
             )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The sensors' names."""
+        return tuple(sensor.name for sensor in self.sensors)
 
     def index(self, name: str) -> int:
         """Position of a sensor by name.

@@ -12,10 +12,11 @@ from jaxtyping import PRNGKeyArray
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
-from kedge.estimation.batch import Estimates, History, estimate_with_history
+from kedge.estimation.batch import Estimates, estimate_with_history
 from kedge.estimation.log import Log
+from kedge.estimation.passage import EnsembleHistory, History
 from kedge.estimation.rig import Rig
-from kedge.numerics.linalg import cholesky, gain, symmetric
+from kedge.numerics.linalg import symmetric
 
 
 def smooth(
@@ -24,13 +25,15 @@ def smooth(
     """The filter's estimates and the smoothed ones.
 
     Raises:
-        ContractError: the filter does not carry a Gaussian.
+        ContractError: the filter carries neither a Gaussian nor an ensemble.
     """
     filtered, history = estimate_with_history(filter, rig, log, key)
     return filtered, filtered._replace(moments=rauch_tung_striebel(filtered.moments, history))
 
 
-def compile_smoother(filtered: Gaussian, history: History) -> Callable[[], Gaussian]:
+def compile_smoother(
+    filtered: Gaussian, history: History | EnsembleHistory
+) -> Callable[[], Gaussian]:
     """Compile the backward pass without running it."""
     jitted: Any = rauch_tung_striebel
     compiled = jitted.lower(filtered, history).compile()
@@ -38,25 +41,20 @@ def compile_smoother(filtered: Gaussian, history: History) -> Callable[[], Gauss
 
 
 @eqx.filter_jit
-def rauch_tung_striebel(filtered: Gaussian, history: History) -> Gaussian:
+def rauch_tung_striebel(filtered: Gaussian, history: History | EnsembleHistory) -> Gaussian:
     r"""Correct each filtered Gaussian by the smoothed one after it.
 
     $G = C_{k,k+1} (P^-_{k+1})^{-1}$, $x^s_k = x_k \boxplus G (x^s_{k+1} \boxminus x^-_{k+1})$,
     $P^s_k = P_k + G (P^s_{k+1} - P^-_{k+1}) G^\top$, with the cross-covariance C that the
-    filter's own rule gave at the prediction: one smoother for every Gaussian filter.
+    filter's own rule gave at the prediction: one smoother for every Gaussian filter. For an
+    ensemble G comes from its anomalies, and mean and covariance are its sample moments.
 
     Source: S. Särkkä, "Bayesian Filtering and Smoothing", 2013, sections 8.2 and 9.1.
     """
-    states = space_of(type(filtered.mean))
 
-    def body(later: Gaussian, event: tuple[Gaussian, History]):
-        present, (predicted, cross) = event
-        # Jitter relative to each variance: a state known exactly has a singular one.
-        scale = jnp.diag(1e-12 * jnp.diag(predicted.cov) + 1e-300)
-        G = gain(cross, cholesky(predicted.cov + scale))
-        mean = states.boxplus(present.mean, G @ states.boxminus(later.mean, predicted.mean))
-        cov = symmetric(present.cov + G @ (later.cov - predicted.cov) @ G.T)
-        smoothed = Gaussian(mean, cov)
+    def body(later: Gaussian, event: tuple[Gaussian, Any]):
+        present, passage = event
+        smoothed = backward(present, later, passage)
         return smoothed, smoothed
 
     last = jax.tree.map(lambda leaf: leaf[-1], filtered)
@@ -64,3 +62,13 @@ def rauch_tung_striebel(filtered: Gaussian, history: History) -> Gaussian:
     after = jax.tree.map(lambda leaf: leaf[1:], history)
     _, smoothed = lax.scan(body, last, (before, after), reverse=True)
     return jax.tree.map(lambda head, end: jnp.concatenate([head, end[None]]), smoothed, last)
+
+
+def backward(
+    present: Gaussian, later: Gaussian, passage: History | EnsembleHistory
+) -> Gaussian:
+    """One step of :func:`rauch_tung_striebel`: ``passage`` leads from present to later."""
+    states = space_of(type(present.mean))
+    predicted, G = passage.predicted, passage.smoothing_gain()
+    mean = states.boxplus(present.mean, G @ states.boxminus(later.mean, predicted.mean))
+    return Gaussian(mean, symmetric(present.cov + G @ (later.cov - predicted.cov) @ G.T))

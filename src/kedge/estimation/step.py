@@ -1,5 +1,6 @@
 """One event: advance to its time, then use its reading. Batch and online share it."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,14 +14,23 @@ from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.manifolds import space_of
 from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
-from kedge.estimation.log import Readings
+from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.reading import is_positive_definite, sight
-from kedge.estimation.rig import Installation
-from kedge.filters.gated import Gated
+from kedge.estimation.rig import Installation, Rig, as_arrays
+from kedge.filters.gated import Gated, regain
 from kedge.filters.robust import Robust
 from kedge.numerics.linalg import cholesky, solve_lower
 
 B = TypeVar("B")
+
+
+class Standing(NamedTuple):
+    """What is carried from event to event."""
+
+    belief: Any
+    refused_since: Float[Array, ""] | float = math.inf
+    """Time of the first refusal since one of the sensors that may recover was last fused;
+    infinite if there was none."""
 
 
 class Outcome(NamedTuple):
@@ -36,6 +46,44 @@ class Outcome(NamedTuple):
     dof: Int[Array, "*T"]
     threshold: Float[Array, "*T"]
     log_likelihood: Float[Array, "*T"]
+    effective_size: Float[Array, "*T"]
+    """Of weighted particles, before resampling; 0 if none explains the reading."""
+    resampled: Bool[Array, "*T"]
+    repairs: Int[Array, "*T"]
+    """Pivots of a covariance that had to be lifted to zero."""
+    recovered: Bool[Array, "*T"]
+    """Refused by its gate, and let in since nothing else was fused for too long."""
+
+
+def begin(filter: AbstractFilter, rig: Rig, key: PRNGKeyArray) -> Standing:
+    """The prior as the filter's belief, with room for all that it will carry."""
+    belief = filter.init(rig.prior, jr.fold_in(key, 0))
+    return Standing(with_room(filter, rig.vehicle, belief), jnp.asarray(jnp.inf))
+
+
+def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) -> B:
+    """Zeros where a fresh belief has None and a predicted one has numbers.
+
+    What a scan carries has one structure throughout, but some of it can only be told from the
+    vehicle, which a filter first meets when it predicts.
+    """
+
+    def is_gap(leaf: Any) -> bool:
+        return leaf is None
+
+    if not any(map(is_gap, jax.tree.leaves(belief, is_leaf=is_gap))):
+        return belief
+    control = as_arrays(vehicle.drive(0.0))
+    predicted = jax.eval_shape(
+        lambda key: filter.predict(vehicle, belief, control, jnp.ones(()), key), jr.key(0)
+    )
+
+    def fill(own: Any, later: Any) -> Any:
+        if own is not None:
+            return own
+        return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), later)
+
+    return jax.tree.map(fill, belief, predicted, is_leaf=is_gap)
 
 
 def advance(
@@ -55,19 +103,20 @@ def advance(
 
 
 def condition(
-    filter: AbstractFilter[B],
+    filter: AbstractFilter,
     sensors: Sequence[Installation],
-    belief: B,
+    standing: Standing,
     readings: Sequence[Readings],
     sensor: Int[Array, ""],
     row: Int[Array, ""],
+    time: Scalar,
     key: PRNGKeyArray,
-) -> tuple[B, Outcome]:
+) -> tuple[Standing, Outcome]:
     """Update with the sensor that fired; without one (-1) nothing changes."""
     width = widest(sensors)
 
     def no_reading():
-        return belief, silence(width)
+        return standing, silence(width)
 
     def branch(installation, rows):
         if len(rows.target) == 0:  # it never fires, and there is no row to look at
@@ -75,7 +124,7 @@ def condition(
 
         def use():
             reading = jax.tree.map(lambda leaf: leaf[row], rows)
-            return take_in(filter, installation, belief, reading, key, width)
+            return take_in(filter, installation, standing, reading, time, key, width)
 
         return use
 
@@ -84,21 +133,30 @@ def condition(
 
 
 def take_in(
-    filter: AbstractFilter[B],
+    filter: AbstractFilter,
     installation: Installation,
-    belief: B,
+    standing: Standing,
     reading: Readings,
+    time: Scalar,
     key: PRNGKeyArray,
     width: int,
-) -> tuple[B, Outcome]:
+) -> tuple[Standing, Outcome]:
     """Use one reading if it is fit to be used, and say what became of it."""
+    belief, since = standing
     chosen: AbstractFilter = filter
-    if installation.student_dof is not None:
-        chosen = Robust(chosen, installation.student_dof)
+    if installation.robust is not None:
+        loss = installation.robust
+        chosen = Robust(chosen, loss.kind, loss.tuning, loss.side)
     if installation.gate is not None:
         chosen = Gated(chosen, installation.gate)
     model, measurement = sight(installation, reading)
     posterior, score = chosen.update(model, belief, measurement, key)
+    recovered = jnp.asarray(False)
+    if installation.recovery is not None:
+        lost = time - since >= installation.recovery
+        recovered = lost & (score.nis > score.threshold)
+        judged = posterior, score
+        posterior, score = regain(filter, model, belief, measurement, key, lost, judged)
 
     verdict = jnp.asarray(Verdict.FUSED)
 
@@ -115,12 +173,17 @@ def take_in(
     infinite = [jnp.isinf(leaf).any() for leaf in jax.tree.leaves(reading.measurement)]
     unless(model.present.any() & ~jnp.stack(infinite).any(), Verdict.NOT_FINITE)
     unless(installation.knows(reading.target), Verdict.UNKNOWN_TARGET)
+    unless(reading.target != REPEATED, Verdict.DUPLICATE)
 
     fused = verdict == Verdict.FUSED
-    kept = jax.tree.map(lambda new, old: jnp.where(fused, new, old), posterior, belief)
+    judged = fused | (verdict == Verdict.GATED) | (verdict == Verdict.DROPPED)
+    # A filter that refuses says itself what it keeps: a gate may count its refusals.
+    kept = jax.tree.map(lambda new, old: jnp.where(judged, new, old), posterior, belief)
+    if installation.recovery is not None:
+        refused = jnp.where(verdict == Verdict.GATED, jnp.minimum(since, time), since)
+        since = jnp.where(fused, jnp.inf, refused)
 
     size = space_of(installation.sensor.measures).size
-    judged = fused | (verdict == Verdict.GATED) | (verdict == Verdict.DROPPED)
     shown = model.present & judged
     pad = jnp.full(width - size, jnp.nan)
 
@@ -139,8 +202,12 @@ def take_in(
         dof=jnp.where(judged, score.dof, 0),
         threshold=jnp.where(judged, score.threshold, jnp.inf),
         log_likelihood=jnp.where(fused, score.log_likelihood, 0.0),
+        effective_size=known(score.effective_size),
+        resampled=fused & score.resampled,
+        repairs=jnp.where(judged, score.repairs, 0),
+        recovered=fused & recovered,
     )
-    return kept, outcome
+    return Standing(kept, since), outcome
 
 
 def silence(width: int) -> Outcome:
@@ -155,6 +222,10 @@ def silence(width: int) -> Outcome:
         dof=jnp.asarray(0),
         threshold=jnp.asarray(jnp.inf),
         log_likelihood=jnp.asarray(0.0),
+        effective_size=nothing,
+        resampled=jnp.asarray(False),
+        repairs=jnp.asarray(0),
+        recovered=jnp.asarray(False),
     )
 
 
@@ -164,14 +235,14 @@ def widest(sensors: Sequence[Installation]) -> int:
 
 
 def event_keys(
-    key: PRNGKeyArray, index: Int[Array, ""] | int
+    key: PRNGKeyArray, moves: Int[Array, ""] | int, takes: Int[Array, ""] | int
 ) -> tuple[PRNGKeyArray, PRNGKeyArray]:
-    """Prediction and update keys of event ``index``, counted from 1; 0 is the prior.
+    """Keys of the prediction number ``moves`` and of the reading number ``takes``, from 1.
 
-    ``key`` itself is never used to draw, so no key is used twice.
+    Events at which nothing happens (a time asked for twice, a control) count for neither, so
+    they change no draw. ``key`` itself is never used to draw, and no key is used twice.
     """
-    predict, update = jr.split(jr.fold_in(key, index))
-    return predict, update
+    return jr.fold_in(jr.fold_in(key, 1), moves), jr.fold_in(jr.fold_in(key, 2), takes)
 
 
 def _finite(tree: Any) -> Bool[Array, ""]:

@@ -1,0 +1,131 @@
+"""What smoothing needs of a prediction: where it led, and how the past hangs on it."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from kedge.core.beliefs import Ensemble, Gaussian
+from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter, AbstractVehicle
+from kedge.core.errors import ContractError
+from kedge.core.quantities import Scalar
+from kedge.filters.ensembles import AbstractEnsembleFilter
+from kedge.filters.wrapper import AbstractWrapper
+from kedge.numerics.gram import gram
+from kedge.numerics.linalg import cholesky, gain
+
+
+class History(NamedTuple):
+    """The passage of a Gaussian."""
+
+    predicted: Gaussian
+    cross: Float[Array, "*T n n"]
+    """Covariance of the state after the event before with the state predicted here."""
+
+    def smoothing_gain(self) -> Float[Array, "n n"]:
+        r"""$G = C\,(P^-)^{-1}$."""
+        cov = self.predicted.cov
+        # Jitter relative to each variance: a state known exactly has a singular one.
+        return gain(self.cross, cholesky(cov + jnp.diag(1e-12 * jnp.diag(cov) + 1e-300)))
+
+
+class EnsembleHistory(NamedTuple):
+    """The passage of an ensemble, whose covariance may have no inverse."""
+
+    predicted: Gaussian
+    gain: Float[Array, "*T n n"]
+
+    def smoothing_gain(self) -> Float[Array, "n n"]:
+        r"""$G = A (A^-)^+$ of the anomalies before and after the prediction."""
+        return self.gain
+
+
+def is_smoothable(filter: AbstractFilter) -> bool:
+    """Whether a filter's predictions can be smoothed: its own, or those of what it wraps."""
+    inner = _innermost(filter)
+    return isinstance(inner, AbstractGaussianFilter | AbstractEnsembleFilter)
+
+
+def require_smoothable(filter: AbstractFilter) -> None:
+    """Refuse to smooth what carries neither a Gaussian nor an ensemble.
+
+    Raises:
+        ContractError: it does not.
+    """
+    if not is_smoothable(filter):
+        raise ContractError(
+            f"{type(_innermost(filter)).__name__} cannot be smoothed: it carries neither a "
+            "Gaussian nor an ensemble; use for example 'extended', 'unscented' or 'ensemble'"
+        )
+
+
+def passage(
+    filter: AbstractFilter,
+    vehicle: AbstractVehicle,
+    belief: Any,
+    control: Any,
+    dt: Scalar,
+    key: PRNGKeyArray,
+) -> tuple[Any, History | EnsembleHistory]:
+    """The filter's prediction, and what a smoother needs of it; free where ``dt`` is zero."""
+    return lax.cond(
+        dt > 0,
+        lambda: _moving(filter, vehicle, belief, control, dt, key),
+        lambda: (belief, _still(filter, belief)),
+    )
+
+
+def _moving(
+    filter: AbstractFilter,
+    vehicle: AbstractVehicle,
+    belief: Any,
+    control: Any,
+    dt: Scalar,
+    key: PRNGKeyArray,
+) -> tuple[Any, History | EnsembleHistory]:
+    if isinstance(filter, AbstractGaussianFilter):
+        predicted, cross = filter.transition(vehicle, belief, control, dt)
+        return predicted, History(predicted.moments(), cross)
+    moved = filter.predict(vehicle, belief, control, dt, key)
+    if isinstance(filter, AbstractWrapper):
+        # The compiler finds that the inner prediction is done already.
+        inside = filter.unwrap(belief)
+        return moved, _moving(filter.inner, vehicle, inside, control, dt, key)[1]
+    return moved, _ensemble_history(belief, moved)
+
+
+def _still(filter: AbstractFilter, belief: Any) -> History | EnsembleHistory:
+    if isinstance(filter, AbstractWrapper):
+        return _still(filter.inner, filter.unwrap(belief))
+    if isinstance(filter, AbstractGaussianFilter):
+        at = belief.moments()
+        return History(at, at.cov)
+    return _ensemble_history(belief, belief)
+
+
+def _ensemble_history(before: Ensemble, after: Ensemble) -> EnsembleHistory:
+    r"""$A (A^-)^+ = A\,((A^-)^\top A^-)^+ (A^-)^\top$ by rows, in the smaller space.
+
+    Source: P. Raanes, "On the ensemble Rauch-Tung-Striebel smoother and its equivalence to the
+    ensemble Kalman smoother", Q. J. R. Meteorol. Soc. 142, 2016.
+    """
+    _, past = before.centred()
+    mean, anomalies = after.centred()
+    cov = anomalies.T @ anomalies / (anomalies.shape[0] - 1)
+    inverse = _pseudo_inverse(anomalies)
+    return EnsembleHistory(Gaussian(mean, cov), past.T @ inverse.T)
+
+
+def _pseudo_inverse(anomalies: Float[Array, "N n"]) -> Float[Array, "n N"]:
+    parts = gram(anomalies)
+    kept = parts.rank() > 0
+    inverse = jnp.where(kept, 1 / jnp.where(kept, parts.values, 1.0), 0.0)
+    middle = (parts.vectors * inverse[None]) @ parts.vectors.T
+    return anomalies.T @ middle if parts.by_row else middle @ anomalies.T
+
+
+def _innermost(filter: AbstractFilter) -> AbstractFilter:
+    while isinstance(filter, AbstractWrapper):
+        filter = filter.inner
+    return filter
