@@ -1,0 +1,174 @@
+"""The contract of a filter as a check."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from kedge.core import registry
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import space_of
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import Estimates, estimate
+from kedge.estimation.log import Log, Readings, Schedule
+from kedge.estimation.online import Estimator, replay
+from kedge.estimation.reading import sight
+from kedge.estimation.rig import Installation, Rig
+from kedge.simulation.scenario import Scenario
+from kedge.simulation.simulate import record
+from kedge.testing.compiling import quick_jit
+from kedge.testing.laws import Require, Tracing, member
+from kedge.testing.spaces import row
+
+
+def check_filter(filter: str | type | AbstractFilter) -> None:
+    """Check a filter against its contract, on a matched log.
+
+    It runs on a unicycle that sees landmarks; one that refuses nonlinear models with a
+    ``ContractError`` runs on a vehicle of constant velocity with GNSS.
+
+    Raises:
+        ContractError: the first law that it breaks.
+    """
+    model, require = member(filter, registry.filters, AbstractFilter)
+    rig = _rig_for(model, require)
+    key = jr.key(4)
+    recording, _ = record(Scenario(rig, duration=3.0), jr.key(3), output_rate=5.0)
+    log = jax.tree.map(np.asarray, recording.log)
+    runs = (log.readings, _spoilt(log.readings), _missing(log.readings))
+    silent = log.schedule._replace(sensor=np.full_like(log.schedule.sensor, -1))
+
+    @quick_jit
+    def run(schedule: Schedule, readings: Any) -> Estimates:
+        return estimate(model, rig, Log(schedule, log.controls, readings), key)
+
+    with Tracing(require, "it can be traced and scanned over a log"):
+        found = jax.tree.map(
+            lambda *leaves: np.stack(leaves), *(run(log.schedule, one) for one in runs)
+        )
+    for index, label in enumerate(("as they are", "spoilt", "missing")):
+        moments = row(found.moments, index)
+        require.finite(
+            f"the moments are finite, with readings {label}",
+            np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(moments)]),
+        )
+        scale = np.abs(moments.cov).max()
+        skew = np.abs(moments.cov - np.swapaxes(moments.cov, 1, 2))
+        require.small("covariances are symmetric", skew, 1e-9 * scale)
+        lowest = -np.linalg.eigvalsh(moments.cov).min()
+        require.small("covariances have no negative eigenvalue", lowest, 1e-9 * scale)
+
+    require(
+        "the same key gives the same bytes",
+        _bytes(run(log.schedule, runs[0])) == _bytes(row(found, 0)),
+        found="two results",
+        expected="one",
+    )
+    verdicts = found.outcome.verdict[2][log.schedule.sensor >= 0]
+    require(
+        "a reading that is missing is not used",
+        bool((verdicts == Verdict.NOT_FINITE).all()),
+        found=[Verdict(verdict).name for verdict in verdicts],
+        expected="NOT_FINITE",
+    )
+    alone, gone = run(silent, runs[2]).moments, row(found.moments, 2)
+    require.small("a missing reading leaves the prediction", _distance(alone, gone), 1e-12)
+
+    for index in range(2):
+        moments, verdicts = row((found.moments, found.outcome.verdict), index)
+        same = log._replace(readings=runs[index])
+        gap, verdict = _online_gap(model, rig, same, key, moments, verdicts)
+        require("batch and online give the same verdicts", verdict is None, found=verdict)
+        require.small("batch and online agree", gap, 1e-9)
+
+
+def _rigs() -> Iterator[Rig]:
+    for name, carried in (("unicycle", "landmarks"), ("constant-velocity", "gnss")):
+        vehicle = registry.vehicles.get(name)()
+        start, sensor = vehicle.start(), registry.sensors.make(carried)
+        prior = Gaussian(start, 0.1 * jnp.eye(space_of(type(start)).size))
+        yield Rig(vehicle, (Installation(carried, sensor),), prior)
+
+
+def _rig_for(model: AbstractFilter, require: Require) -> Rig:
+    """The first rig that the filter does not refuse; on it, it can be mapped over runs."""
+    refusal = None
+    for rig in _rigs():
+
+        def once(dt: Float[Array, ""], key: PRNGKeyArray, rig: Rig = rig) -> Any:
+            aboard, installation = model.aboard(rig.names), rig.sensors[0]
+            belief = aboard.init(rig.prior, key)
+            belief = aboard.predict(rig.vehicle, belief, rig.vehicle.drive(0.0), dt, key)
+            seen = installation.expect(rig.vehicle.start(), jnp.asarray(0))
+            one, seen = sight(installation, Readings(seen, jnp.asarray(0)))
+            return aboard.update(one, belief, seen, key)
+
+        with Tracing(require, "it can be mapped over runs, with jax.vmap"):
+            try:
+                jax.eval_shape(jax.vmap(once), np.full(2, 0.1), jr.split(jr.key(0), 2))
+            except ContractError as error:
+                refusal = error
+            else:
+                return rig
+    raise ContractError(f"{require.member} refuses every vehicle: {refusal}") from refusal
+
+
+def _spoilt(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
+    """Components missing in turn, one infinity, one target that is not on the map."""
+    spoilt = []
+    for one in readings:
+        leaves, structure = jax.tree.flatten(one.measurement)
+        for place, leaf in enumerate(leaves):
+            flat = np.array(leaf, float)
+            for line in range(len(flat)):
+                if flat.ndim > 1 and line % 3 == 1:
+                    flat[line, line % flat.shape[1]] = np.nan
+                elif flat.ndim == 1 and line % 3 == 1 and line // 3 % len(leaves) == place:
+                    flat[line] = np.nan
+            flat[0] = np.inf
+            leaves[place] = flat
+        target = np.array(one.target)
+        target[2] = -1
+        spoilt.append(
+            one._replace(measurement=jax.tree.unflatten(structure, leaves), target=target)
+        )
+    return tuple(spoilt)
+
+
+def _missing(readings: tuple[Readings, ...]) -> tuple[Readings, ...]:
+    return tuple(
+        one._replace(
+            measurement=jax.tree.map(lambda z: np.full_like(z, np.nan), one.measurement)
+        )
+        for one in readings
+    )
+
+
+def _online_gap(
+    model: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, moments: Any, verdicts: Any
+) -> tuple[float, str | None]:
+    """The largest difference of an online run from a batch, and the first other verdict."""
+    online, worst = Estimator(model, rig, key, control=row(log.controls, 0)), 0.0
+    for i, (at, answer) in enumerate(
+        zip(log.schedule.time.tolist(), replay(online, log), strict=True)
+    ):
+        worst = max(worst, _distance(answer.moments, row(moments, i)))
+        if int(answer.outcome.verdict) != int(verdicts[i]):
+            batch = Verdict(int(verdicts[i])).name
+            return worst, f"{batch} in the batch, {answer.verdict.name} online, at {at:g} s"
+    return worst, None
+
+
+def _distance(one: Gaussian, other: Gaussian) -> float:
+    gaps = jax.tree.map(lambda a, b: np.max(np.abs(np.asarray(a) - np.asarray(b))), one, other)
+    return float(np.max(jax.tree.leaves(gaps)))
+
+
+def _bytes(tree: Any) -> list[bytes]:
+    return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(tree)]
