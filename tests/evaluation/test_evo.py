@@ -96,16 +96,19 @@ def stored(folder, nanoseconds, moved, turned, where, turns):
     return folder, *pair
 
 
+# Each starts a program that takes seconds; the fast tests run one of each kind.
+long = pytest.mark.slow
+
 ALIGNMENTS = {"none": [], "origin": ["--align_origin"], "rigid": ["-a"], "similarity": ["-as"]}
 
 
 @pytest.mark.parametrize(
     ("kind", "relation"),
     [
-        ("none", "trans_part"),
-        ("none", "angle_rad"),
-        ("origin", "trans_part"),
-        ("rigid", "trans_part"),
+        pytest.param("none", "trans_part", marks=long),
+        pytest.param("none", "angle_rad", marks=long),
+        pytest.param("origin", "trans_part", marks=long),
+        pytest.param("rigid", "trans_part", marks=long),
         ("rigid", "angle_rad"),
         ("similarity", "trans_part"),
     ],
@@ -119,11 +122,11 @@ def test_absolute_errors_are_those_of_evo_ape(spatial, kind, relation):
 @pytest.mark.parametrize(
     ("delta", "unit", "pairs_from", "relation"),
     [
-        (1, "frames", "estimate", "trans_part"),
+        pytest.param(1, "frames", "estimate", "trans_part", marks=long),
         (7, "frames", "estimate", "angle_rad"),
-        (3.0, "metres", "estimate", "trans_part"),
+        pytest.param(3.0, "metres", "estimate", "trans_part", marks=long),
         (3.0, "metres", "truth", "trans_part"),
-        (3.0, "metres", "truth", "angle_rad"),
+        pytest.param(3.0, "metres", "truth", "angle_rad", marks=long),
     ],
 )
 def test_relative_errors_are_those_of_evo_rpe(spatial, delta, unit, pairs_from, relation):
@@ -134,6 +137,7 @@ def test_relative_errors_are_those_of_evo_rpe(spatial, delta, unit, pairs_from, 
     agree(error, relation, figures(folder, "evo_rpe", *options))
 
 
+@long
 def test_planar_errors_are_those_of_evo(tmp_path):
     rng, count = np.random.default_rng(1), 150
     nanoseconds = np.arange(count) * 50_000_000

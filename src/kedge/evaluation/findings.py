@@ -11,6 +11,7 @@ from kedge.estimation.rig import Rig
 from kedge.evaluation import style
 from kedge.evaluation.drawing import without_fused
 from kedge.evaluation.figures import main_field, rivals
+from kedge.evaluation.health import concerns
 from kedge.evaluation.score import Run
 
 # Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
@@ -89,6 +90,9 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
         missing = 1 - judged[0].scores["samples"] / len(judged[0].track.time)
         if missing > 0.01:
             found.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
+    for run in rivals(runs):
+        verdicts = np.asarray(run.estimates.outcome.verdict)
+        found += concerns(run.name, run.scores["health"], verdicts)
     run = principal(runs)
     for installation in rig.sensors:
         entry = run.scores["sensors"].get(installation.name, {})

@@ -186,7 +186,7 @@ def _consistency(content: ReportContent, run: Run) -> list[Plate]:
         "bound, and the running mean in the bounds that it keeps 95\u00a0% of the time if the "
         "model is right."
     )
-    heavy = [s.name for s in content.rig.sensors if s.student_dof is not None]
+    heavy = [s.name for s in content.rig.sensors if s.robust is not None]
     if heavy:
         caption += f" Noise with heavy tails ({', '.join(heavy)}): chi-square is a guide only."
     found.append(Plate("nis", "consistency", caption, axes[0].figure))

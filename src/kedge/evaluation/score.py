@@ -15,6 +15,7 @@ from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
+from kedge.evaluation.health import health
 from kedge.evaluation.trajectory import (
     Trajectory,
     absolute_pose_error,
@@ -119,7 +120,10 @@ def score(
 ) -> Run:
     """Everything about one run that goes into the summary and the report."""
     track = track_of(estimates, recording)
-    scores: dict[str, Any] = {"sensors": _sensor_scores(estimates, recording, rig)}
+    scores: dict[str, Any] = {
+        "sensors": _sensor_scores(estimates, recording, rig),
+        "health": health(estimates),
+    }
     errors = None
     if truth is not None:
         errors = errors_of(track, truth)

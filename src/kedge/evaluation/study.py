@@ -1,0 +1,248 @@
+"""Studies: many filters over the same simulated runs, chunk by chunk.
+
+Every filter sees the same truths and readings. The draws of run i come from the seed, the name
+of a stream and i, so another filter, another number of runs, another chunk, engine or machine
+changes none.
+"""
+
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Int, PRNGKeyArray
+
+from kedge.core.contracts import AbstractFilter
+from kedge.core.errors import ConfigError
+from kedge.core.manifolds import space_of
+from kedge.estimation.log import SECOND
+from kedge.estimation.rig import as_arrays
+from kedge.evaluation.study_measure import Plan, measured
+from kedge.evaluation.study_scores import (
+    Part,
+    Piece,
+    Result,
+    RunScores,
+    Tally,
+    chunks_of,
+)
+from kedge.numerics.linalg import square_root
+from kedge.simulation.scenario import Scenario
+from kedge.simulation.simulate import Simulation, schedule, simulate
+
+CHUNK = 16
+"""Runs in one batch."""
+SCORES = ("pooled", "time-mean-rms")
+STARTS = ("prior", "truth")
+
+
+class Study(NamedTuple):
+    r"""A scenario, and how it is scored.
+
+    ``score`` "pooled" is the root of the mean, over runs and times, of the squared error of a
+    field, at the end of every step: $\sqrt{\overline{\lVert e \rVert^2}}$. "time-mean-rms" is
+    the mean over runs and analysis times (after the readings of a time are taken in) of the
+    root mean square over the state's components, $\overline{\lVert e \rVert / \sqrt n}$: the
+    "rmse.a" of the data-assimilation literature.
+
+    ``start`` "prior" gives filters the prior as it is; with "truth" its mean is the true state
+    at time 0 plus an error drawn from its covariance.
+    """
+
+    scenario: Scenario
+    burn_in: float | int = 0.0  # s
+    score: str = "pooled"
+    start: str = "prior"
+    seed: int = 0
+
+    def check(self) -> None:
+        """Refuse what cannot be run.
+
+        Raises:
+            ConfigError: an option is unknown or out of range, or no time is left to score.
+        """
+        for name, known in (("score", SCORES), ("start", STARTS)):
+            if (found := getattr(self, name)) not in known:
+                raise ConfigError(f"{name}: found {found!r}, expected one of {list(known)}")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigError(f"seed: found {self.seed}, expected 0 or more, below 2^63")
+        if not 0 <= self.burn_in < self.scenario.duration:
+            raise ConfigError(
+                f"burn_in: found {self.burn_in:g} s, expected 0 or more and less than the "
+                f"duration, {self.scenario.duration:g} s"
+            )
+
+
+def stream(seed: int, name: str) -> PRNGKeyArray:
+    """The key of all runs' draws for one purpose; that of run i is ``fold_in(key, i)``."""
+    return jr.fold_in(jr.key(seed), np.uint32(zlib.crc32(name.encode())))
+
+
+class Trials:
+    """A study's runs in chunks, each of which can be computed by itself, anywhere.
+
+    A filter's own draws come from the stream named after its key in ``filters``. A filter is
+    compiled once; the last chunk is filled up with runs that are dropped.
+
+    Raises:
+        ConfigError: there are no runs, or nothing to score.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        filters: Mapping[str, AbstractFilter],
+        runs: int,
+        chunk: int = CHUNK,
+        say: Callable[[str], None] = lambda text: None,
+    ):
+        study.check()
+        for name, number in (("runs", runs), ("chunk", chunk)):
+            if number < 1:
+                raise ConfigError(f"{name}: found {number}, expected 1 or more")
+        self.study, self.filters, self.runs = study, dict(filters), runs
+        self.chunk, self.say = min(chunk, runs), say
+        self.plan, self._scenario = plan_of(study), as_arrays(study.scenario)
+        self._programs: dict[str, Any] = {}
+
+    @property
+    def chunks(self) -> range:
+        """The numbers of the chunks."""
+        return range(chunks_of(self.runs, self.chunk))
+
+    def part(self, number: int) -> Part:
+        """Simulate the runs of a chunk, and run every filter over each.
+
+        Raises:
+            ContractError: a filter cannot run on the rig.
+        """
+        seed, begin = self.study.seed, number * self.chunk
+        index, end = jnp.arange(begin, begin + self.chunk), min(begin + self.chunk, self.runs)
+        said = f"runs {begin + 1} to {end} of {self.runs}"
+        self.say(f"{said}: simulating")
+        priors = None if self.study.start == "prior" else stream(seed, "prior")
+        truth, means = _simulated(self._scenario, index, stream(seed, "truth"), priors)
+        pieces = {}
+        for name, filter in self.filters.items():
+            compiling, key = 0.0, stream(seed, f"filter {name}")
+            kept = jnp.arange(self.chunk) < end - begin
+            arguments = (
+                as_arrays(filter), self._scenario, self.plan, truth, means, index, kept, key,
+            )  # fmt: skip
+            if name not in self._programs:
+                self.say(f"{name}: compiling")
+                before = time.perf_counter()
+                self._programs[name] = measured.lower(*arguments).compile()
+                compiling = time.perf_counter() - before
+            self.say(f"{name}: {said}")
+            before = time.perf_counter()
+            found = jax.block_until_ready(self._programs[name](*arguments))
+            seconds = time.perf_counter() - before
+            settled, whole, sums, example = jax.tree.map(np.asarray, found)
+            cut = slice(0, end - begin)
+            settled, whole = (RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole))
+            shown = example._asdict() if number == 0 else {}
+            pieces[name] = Piece(settled, whole, sums, seconds, compiling, shown)
+        if number:
+            return Part(pieces)
+        return Part(pieces, *_first(self._scenario, self.plan, truth))
+
+
+def run_study(
+    study: Study,
+    filters: Mapping[str, AbstractFilter],
+    runs: int,
+    say: Callable[[str], None] = lambda text: None,
+    chunk: int = CHUNK,
+) -> dict[str, Result]:
+    """Simulate ``runs`` runs, and run every filter over each, in this process.
+
+    Of each run a few numbers are kept, of each time sums; see :class:`Trials`.
+
+    Raises:
+        ConfigError: there are no runs, or nothing to score.
+        ContractError: a filter cannot run on the rig.
+    """
+    trials, tally = Trials(study, filters, runs, chunk, say), Tally(list(filters))
+    for number in trials.chunks:
+        tally.add(trials.part(number))
+    return tally.results()
+
+
+def plan_of(study: Study) -> Plan:
+    """The schedule and the events to score.
+
+    Raises:
+        ConfigError: nothing happens after the burn-in.
+    """
+    scenario = study.scenario
+    pooled = study.score == "pooled"
+    # Without outputs: their rate is so low that there is none.
+    rate = 1 / scenario.dt if pooled else 0.5 / scenario.duration
+    recording = schedule(scenario, rate)
+    stamps, burn_in = recording.stamps, round(study.burn_in * SECOND)
+    sensor = np.asarray(recording.log.schedule.sensor)
+    if pooled:
+        events = recording.outputs
+    else:
+        last = np.append(stamps[1:] != stamps[:-1], True)
+        # Sensors that fire at one time stand together: the last of them is the analysis.
+        events = np.flatnonzero((sensor >= 0) & (last | ~np.append(sensor[1:] >= 0, False)))
+    settled = stamps[events] > burn_in
+    if not settled.any():
+        raise ConfigError(f"burn_in: nothing is scored after {study.burn_in:g} s")
+    sensed = np.flatnonzero(sensor >= 0)
+    return Plan(
+        log=recording.log,
+        events=events,
+        steps=np.round(stamps[events] / (scenario.dt * SECOND)).astype(np.int64) - 1,
+        settled=settled,
+        time=stamps[events] / SECOND,
+        sensed=sensed,
+        sensor=sensor[sensed],
+        sensed_settled=stamps[sensed] > burn_in,
+        sensed_time=stamps[sensed] / SECOND,
+    )
+
+
+@eqx.filter_jit
+def _simulated(
+    scenario: Scenario,
+    index: Int[Array, " runs"],
+    truths: PRNGKeyArray,
+    priors: PRNGKeyArray | None,
+) -> tuple[Simulation, Any]:
+    """Truths with readings, and the means that the filters start from.
+
+    Without a key for the priors, all start from the scenario's own.
+    """
+    prior = scenario.rig.prior
+    states = space_of(type(prior.mean))
+
+    def one(run: Int[Array, ""]) -> tuple[Simulation, Any]:
+        truth = simulate(scenario, jr.fold_in(truths, run))
+        if priors is None:
+            return truth, prior.mean
+        white = jr.normal(jr.fold_in(priors, run), (states.size,))
+        return truth, states.boxplus(truth.start, square_root(prior.cov) @ white)
+
+    return jax.vmap(one)(index)
+
+
+def _first(
+    scenario: Scenario, plan: Plan, truth: Simulation
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Of the first run: the truth at the scored times, and readings that are positions."""
+    path = {k: np.asarray(v)[0, plan.steps] for k, v in truth.truth._asdict().items()}
+    seen = {
+        installation.name: np.asarray(readings.measurement.position)[0]
+        for installation, readings in zip(scenario.rig.sensors, truth.readings, strict=True)
+        # A sensor over a map measures where its targets are, seen from the vehicle.
+        if "position" in type(readings.measurement)._fields and not installation.targets
+    }
+    return path, seen

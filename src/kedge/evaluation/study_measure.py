@@ -1,0 +1,157 @@
+"""One filter over a chunk of simulated runs, scored: the traced part of a study."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter
+from kedge.core.manifolds import Space, space_of
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import Estimates, pass_over
+from kedge.estimation.log import Log
+from kedge.evaluation.consistency import chi_square_bound
+from kedge.evaluation.study_scores import RunScores, TimeSums
+from kedge.numerics.linalg import UNROLLED, cholesky, solve_lower
+from kedge.simulation.scenario import Scenario
+from kedge.simulation.simulate import Simulation, with_readings
+
+
+class Plan(NamedTuple):
+    """What all runs share: their events, and at which of them they are scored."""
+
+    log: Log
+    events: Int[np.ndarray, " K"]
+    """Those scored."""
+    steps: Int[np.ndarray, " K"]
+    """The step at whose end each scored event lies."""
+    settled: Bool[np.ndarray, " K"]
+    """Whether the burn-in is over."""
+    time: Float[np.ndarray, " K"]  # s
+    sensed: Int[np.ndarray, " E"]
+    """The events with a reading."""
+    sensor: Int[np.ndarray, " E"]
+    sensed_settled: Bool[np.ndarray, " E"]
+    sensed_time: Float[np.ndarray, " E"]  # s
+
+
+def _measure(
+    filter: AbstractFilter,
+    scenario: Scenario,
+    plan: Plan,
+    truth: Simulation,
+    means: Any,
+    index: Int[Array, " runs"],
+    kept: Bool[Array, " runs"],
+    key: PRNGKeyArray,
+) -> tuple[RunScores, RunScores, TimeSums, Any]:
+    """Scores of some runs, their sums by time, and the means of the first.
+
+    XLA keeps no covariance that no score needs.
+    """
+    prior = scenario.rig.prior
+    states = space_of(type(prior.mean))
+    sensors = len(scenario.rig.sensors)
+
+    def one(run: Int[Array, ""], true: Simulation, mean: Any):
+        rig = eqx.tree_at(lambda r: r.prior, scenario.rig, Gaussian(mean, prior.cov))
+        log = with_readings(plan.log, scenario, true)
+        found = pass_over(filter, rig, log, jr.fold_in(key, run), False)[0]
+        moments = found.moments
+        believed = jax.tree.map(lambda leaf: leaf[plan.events], moments.mean)
+        actual = jax.tree.map(lambda leaf: leaf[plan.steps], true.truth)
+        error = jax.vmap(states.boxminus)(actual, believed)
+        nees = jnp.full(len(plan.events), jnp.nan)
+        if states.size <= UNROLLED:
+            roots = jax.vmap(cholesky)(moments.cov[plan.events])
+            nees = jnp.sum(jax.vmap(solve_lower)(roots, error) ** 2, axis=1)
+        judged = _Judged(error**2, nees, *_innovations(scenario, plan, found))
+        late = _scores(states, plan, judged, plan.settled, plan.sensed_settled, sensors)
+        everything = jnp.ones_like(plan.settled), jnp.ones_like(plan.sensed_settled)
+        whole = _scores(states, plan, judged, *everything, sensors)
+        return late, whole, judged, believed
+
+    late, whole, judged, believed = jax.vmap(one)(index, truth, means)
+    good = kept & jnp.all(jnp.isfinite(whole.squared), axis=1)
+    good &= jnp.isfinite(late.time_mean_rms)
+
+    def added(leaf: Array, there: Array) -> Array:
+        shape = (len(good),) + (1,) * (leaf.ndim - 1)
+        return jnp.sum(jnp.where(good.reshape(shape) & there, leaf, 0.0), axis=0)
+
+    fused = judged.fused
+    sums = TimeSums(
+        total=jnp.sum(jnp.where(good, 1.0, 0.0)),
+        squared=added(judged.squared, jnp.ones_like(judged.squared, bool)),
+        nees=added(judged.nees, jnp.ones_like(judged.nees, bool)),
+        nis=added(judged.nis, fused),
+        nis_count=added(jnp.ones_like(judged.nis), fused),
+        nis_dof=added(judged.dof, fused),
+    )
+    return late, whole, sums, jax.tree.map(lambda leaf: leaf[0], believed)
+
+
+class _Judged(NamedTuple):
+    """One run by time and by reading."""
+
+    squared: Float[Array, "*K n"]
+    nees: Float[Array, "*K"]
+    nis: Float[Array, "*E"]
+    dof: Float[Array, "*E"]
+    fused: Bool[Array, "*E"]
+
+
+def _innovations(
+    scenario: Scenario, plan: Plan, found: Estimates
+) -> tuple[Float[Array, " E"], Float[Array, " E"], Bool[Array, " E"]]:
+    """NIS, degrees of freedom and whether fused; no NIS for large measurements."""
+    outcome = found.outcome
+    fused = outcome.verdict[plan.sensed] == Verdict.FUSED
+    dof = 1.0 * outcome.dof[plan.sensed]
+    if max((s.sensor.dof() for s in scenario.rig.sensors), default=0) > UNROLLED:
+        return jnp.full(len(plan.sensed), jnp.nan), dof, fused
+    return outcome.nis[plan.sensed], dof, fused
+
+
+def _scores(
+    states: Space,
+    plan: Plan,
+    judged: _Judged,
+    when: Bool[Array | np.ndarray, " K"],
+    sensed: Bool[Array | np.ndarray, " E"],
+    sensors: int,
+) -> RunScores:
+    """Means over some of the times of one run."""
+    share = jnp.where(when, 1.0, 0.0) / jnp.sum(jnp.where(when, 1.0, 0.0))
+
+    def mean(values: Float[Array, " K"]) -> Float[Array, ""]:
+        # What is not finite must not leak in from times that are not looked at.
+        return jnp.sum(jnp.where(when, values, 0.0) * share)
+
+    nis, dof = [], []
+    for number in range(sensors):
+        there = sensed & judged.fused & (plan.sensor == number)
+        count = jnp.sum(there)
+        for values, found in ((judged.nis, nis), (judged.dof, dof)):
+            total = jnp.sum(jnp.where(there, values, 0.0))
+            found.append(jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan))
+    bound = chi_square_bound(states.size, 0.95)
+    known = states.size <= UNROLLED
+    inside = jnp.where(judged.nees <= bound, 1.0, 0.0)
+    return RunScores(
+        time_mean_rms=mean(jnp.sqrt(jnp.mean(judged.squared, axis=1))),
+        squared=jax.vmap(mean, 1)(judged.squared),
+        nees=mean(judged.nees),
+        coverage=mean(inside) if known else jnp.asarray(jnp.nan),
+        nis=jnp.stack(nis) if nis else jnp.zeros(0),
+        nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
+    )
+
+
+measured: Any = eqx.filter_jit(_measure)
+"""Compiled; what it does and gives is that of ``_measure``."""

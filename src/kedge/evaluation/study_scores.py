@@ -1,0 +1,196 @@
+"""What is kept of a study's runs: scores by run, sums by time, and their addition by chunks.
+
+A chunk leaves a :class:`Part`; a :class:`Tally` adds parts up in the order of their numbers, so
+that the sums do not depend on who computed which, or when.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from kedge.core.errors import DataError
+
+Values = Array | np.ndarray
+
+
+class RunScores(NamedTuple):
+    """What one filter's runs were worth; every leaf has a leading run axis."""
+
+    time_mean_rms: Float[Values, "*runs"]
+    squared: Float[Values, "*runs n"]
+    """Mean squared error of each tangent component."""
+    nees: Float[Values, "*runs"]
+    """Mean NEES; NaN for states of more than 8 components, whose covariances are not kept."""
+    coverage: Float[Values, "*runs"]
+    """Share of times at which the truth lay in the 95 % ellipsoid."""
+    nis: Float[Values, "*runs sensors"]
+    """Mean NIS of what was fused; NaN for measurements of more than 8 components."""
+    nis_dof: Float[Values, "*runs sensors"]
+    """Their mean degrees of freedom; NaN where nothing was fused."""
+
+
+class TimeSums(NamedTuple):
+    """Sums over runs that came out finite: by scored time (K) and by reading (E)."""
+
+    total: Float[Values, ""]
+    """How many runs."""
+    squared: Float[Values, "K n"]
+    nees: Float[Values, " K"]
+    nis: Float[Values, " E"]
+    nis_count: Float[Values, " E"]
+    """Runs in which the reading was fused."""
+    nis_dof: Float[Values, " E"]
+
+    def plus(self, other: "TimeSums") -> "TimeSums":
+        """Add sums over other runs."""
+        pairs = zip(self, other, strict=True)
+        return TimeSums(*(np.asarray(a) + np.asarray(b) for a, b in pairs))
+
+
+class Piece(NamedTuple):
+    """One filter's share of a chunk."""
+
+    runs: RunScores
+    """After the burn-in."""
+    whole: RunScores
+    """Over all times."""
+    sums: TimeSums
+    seconds: float = 0.0
+    """Of computing."""
+    compile_seconds: float = 0.0
+    example: Mapping[str, np.ndarray] = {}
+    """The study's first run: fields of the mean at the scored times; empty in other chunks."""
+
+
+class Part(NamedTuple):
+    """A chunk's runs, scored: a piece for each filter."""
+
+    pieces: Mapping[str, Piece]
+    truth: Mapping[str, np.ndarray] = {}
+    """The truth of the study's first run at the scored times; empty in other chunks."""
+    readings: Mapping[str, np.ndarray] = {}
+    """Its readings of position by sensor."""
+
+
+class Result(NamedTuple):
+    """One filter's study."""
+
+    runs: RunScores
+    """After the burn-in."""
+    whole: RunScores
+    """Over all times."""
+    sums: TimeSums
+    seconds: float
+    """Of computing, without compiling, for all runs; summed over processes."""
+    compile_seconds: float = 0.0
+    example: Mapping[str, np.ndarray] = {}
+
+
+class Tally:
+    """Parts, added up in the order of their chunks.
+
+    By run it keeps a few numbers, by time only sums.
+    """
+
+    def __init__(self, names: Sequence[str]):
+        self.names = tuple(names)
+        self.truth: Mapping[str, np.ndarray] = {}
+        self.readings: Mapping[str, np.ndarray] = {}
+        self._runs: dict[str, list[tuple[RunScores, RunScores]]] = {n: [] for n in names}
+        self._sums: dict[str, TimeSums] = {}
+        self._seconds = dict.fromkeys(names, 0.0)
+        self._compiling = dict.fromkeys(names, 0.0)
+        self._examples: dict[str, Mapping[str, np.ndarray]] = {}
+
+    def add(self, part: Part) -> None:
+        """Take in the next chunk."""
+        for name in self.names:
+            piece = part.pieces[name]
+            self._runs[name].append((piece.runs, piece.whole))
+            before = self._sums.get(name)
+            self._sums[name] = piece.sums if before is None else before.plus(piece.sums)
+            self._seconds[name] += piece.seconds
+            self._compiling[name] += piece.compile_seconds
+            if piece.example:
+                self._examples[name] = piece.example
+        self.truth = part.truth or self.truth
+        self.readings = part.readings or self.readings
+
+    def results(self) -> dict[str, Result]:
+        """Each filter's study so far.
+
+        Raises:
+            DataError: nothing was added.
+        """
+        if not self._sums:
+            raise DataError("study: found no finished runs, expected at least one chunk")
+        return {
+            name: Result(
+                runs=_joined([runs for runs, _ in self._runs[name]]),
+                whole=_joined([whole for _, whole in self._runs[name]]),
+                sums=self._sums[name],
+                seconds=self._seconds[name],
+                compile_seconds=self._compiling[name],
+                example=self._examples.get(name, {}),
+            )
+            for name in self.names
+        }
+
+
+def pack(part: Part) -> dict[str, np.ndarray]:
+    """A part as named arrays, for a file; filters go by their place."""
+    found = {}
+    for place, piece in enumerate(part.pieces.values()):
+        for group in ("runs", "whole", "sums"):
+            for field, leaf in getattr(piece, group)._asdict().items():
+                found[f"{place}.{group}.{field}"] = np.asarray(leaf)
+        found[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
+        found |= {f"{place}.example.{k}": np.asarray(v) for k, v in piece.example.items()}
+    found |= {f"truth.{k}": np.asarray(v) for k, v in part.truth.items()}
+    return found | {f"readings.{k}": np.asarray(v) for k, v in part.readings.items()}
+
+
+def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
+    """Undo :func:`pack`; ``names`` are the filters in their order.
+
+    Raises:
+        DataError: the arrays are not those of a part with these filters.
+    """
+
+    def below(prefix: str) -> dict[str, np.ndarray]:
+        return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+    pieces = {}
+    try:
+        for place, name in enumerate(names):
+            seconds, compiling = arrays[f"{place}.seconds"].tolist()
+            pieces[name] = Piece(
+                RunScores(**below(f"{place}.runs.")),
+                RunScores(**below(f"{place}.whole.")),
+                TimeSums(**below(f"{place}.sums.")),
+                seconds,
+                compiling,
+                below(f"{place}.example."),
+            )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"a chunk's file is not of this version of kedge: {error}") from error
+    return Part(pieces, below("truth."), below("readings."))
+
+
+def finite(result: Result) -> Bool[np.ndarray, " runs"]:
+    """Which runs came out finite."""
+    whole, runs = result.whole, result.runs
+    there = np.isfinite(np.asarray(whole.squared)).all(axis=1)
+    return there & np.isfinite(np.asarray(runs.time_mean_rms))
+
+
+def _joined(parts: Sequence[RunScores]) -> RunScores:
+    columns: Any = zip(*parts, strict=True)
+    return RunScores(*(np.concatenate(leaves) for leaves in columns))
+
+
+def chunks_of(runs: int, chunk: int) -> int:
+    """How many chunks there are."""
+    return -(-runs // chunk)

@@ -1,0 +1,278 @@
+"""What a study's runs say: scores with intervals, ratios to a baseline, curves over time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.special import stdtrit
+
+from kedge.core.manifolds import Space, space_of
+from kedge.evaluation.consistency import chi_square_interval
+from kedge.evaluation.study import Plan, Study
+from kedge.evaluation.study_scores import Result, RunScores, finite
+
+BASELINE = "kalman"
+REPLICATES = 2000
+"""Of the bootstrap."""
+
+
+class Interval(NamedTuple):
+    """A mean over independent runs with its 95 % confidence interval (NaN for one run)."""
+
+    mean: float
+    lower: float
+    upper: float
+
+
+class Curves(NamedTuple):
+    """One filter over time: means over the runs, with the bounds that they should keep."""
+
+    time: Float[np.ndarray, " K"]
+    rmse: Mapping[str, Float[np.ndarray, " K"]]
+    """By field."""
+    nees: Float[np.ndarray, " K"]
+    nees_bounds: tuple[float, float]
+    nis_time: Float[np.ndarray, " E"]
+    nis: Float[np.ndarray, " E"]
+    """Divided by the degrees of freedom: 1 if the model is right."""
+    nis_bounds: tuple[Float[np.ndarray, " E"], Float[np.ndarray, " E"]]
+
+
+def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, dict[str, Any]]:
+    """The scores of all filters for ``summary.json``, with ratios to the baseline."""
+    base = baseline(list(results))
+    found = {name: summarise(study, result) for name, result in results.items()}
+    for name, result in results.items():
+        ratios = compare(study, result, results[base])
+        of = found[name]["score_of"]
+        found[name] |= {
+            "baseline": base,
+            "ratio_to_baseline": ratios[of].mean,
+            "ratio_to_baseline_ci": list(ratios[of][1:]),
+            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
+            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
+        }
+        ratios = compare(study, result, results[base], whole=True)
+        found[name]["all_steps"] |= {
+            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
+            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
+        }
+    return found
+
+
+def baseline(names: Sequence[str]) -> str:
+    """The filter that the others are compared with: "kalman" if it is there, else the first."""
+    return BASELINE if BASELINE in names else names[0]
+
+
+def summarise(study: Study, result: Result) -> dict[str, Any]:
+    """The scores of one filter: each with its 95 % interval over runs.
+
+    ``all_steps`` has them without a burn-in. Runs that came out not finite are left out and
+    counted as ``failed``.
+    """
+    good, states = finite(result), _states(study)
+    mean = interval(np.asarray(result.runs.time_mean_rms)[good])
+    found = _window(study, result.runs, good)
+    if study.score == "pooled":
+        headline = _headline(states)
+        score, score_ci = found["rmse"][headline], found["rmse_ci"][headline]
+    else:
+        headline, score, score_ci = study.score, mean.mean, list(mean[1:])
+    return {
+        "score": score,
+        "score_ci": score_ci,
+        "score_of": headline,
+        **found,
+        "time_mean_rms": mean.mean,
+        "time_mean_rms_ci": list(mean[1:]),
+        "nees_dof": states.size,
+        "all_steps": _window(study, result.whole, good),
+        "runs": len(good),
+        "failed": int((~good).sum()),
+        "seconds": result.seconds,
+        "seconds_per_run": result.seconds / len(good),
+        "compile_seconds": result.compile_seconds,
+    }
+
+
+def compare(
+    study: Study, result: Result, other: Result, whole: bool = False
+) -> dict[str, Interval]:
+    r"""Ratios of one filter's scores to another's over the same runs, by field.
+
+    $\sqrt{\sum_i m_i / \sum_i m'_i}$ with $m_i$, $m'_i$ the mean squared errors of run i; the
+    time-mean-rms is a ratio of means. The interval holds the middle 95 % of the ratios over
+    :data:`REPLICATES` draws of whole runs, with replacement, in pairs: what a run's truth and
+    readings do to both filters cancels. NaN for one run.
+
+    Source: B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993, sections 8.3
+    and 13.3 (percentile interval).
+    """
+    good = finite(result) & finite(other)
+    cuts = _states(study).slices()
+    left, right = (r.whole if whole else r.runs for r in (result, other))
+    columns = {}
+    for name, cut in cuts.items():
+        pair = (np.asarray(s.squared)[good][:, cut].sum(axis=1) for s in (left, right))
+        columns[name] = (*pair, 0.5)
+    pair = (np.asarray(s.time_mean_rms)[good] for s in (left, right))
+    columns["time-mean-rms"] = (*pair, 1.0)
+    count = int(good.sum())
+    if not count:
+        return dict.fromkeys(columns, Interval(float("nan"), float("nan"), float("nan")))
+    table = np.stack([column for pair in columns.values() for column in pair[:2]], axis=1)
+    powers = np.array([power for *_, power in columns.values()])
+
+    def ratios(sums: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " fields"]:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return (sums[0::2] / sums[1::2]) ** powers
+
+    middle = ratios(table.sum(axis=0))
+    if count < 2:
+        lower = upper = np.full(len(powers), np.nan)
+    else:
+        # The same draws for every pair of filters, from no stream of the study's.
+        draws = np.random.default_rng(1993)
+        again = [
+            ratios(np.bincount(draws.integers(0, count, count), minlength=count) @ table)
+            for _ in range(REPLICATES)
+        ]
+        lower, upper = np.quantile(np.stack(again), [0.025, 0.975], axis=0)
+    rows = zip(columns, middle.tolist(), lower.tolist(), upper.tolist(), strict=True)
+    return {name: Interval(*row) for name, *row in rows}
+
+
+def curves(study: Study, plan: Plan, result: Result) -> Curves:
+    r"""Means over runs at each time; NEES and NIS with the two-sided 95 % bounds of their mean.
+
+    Source: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with Applications to
+    Tracking and Navigation", 2001, section 5.4.2.
+    """
+    states, sums = _states(study), result.sums
+    count = max(int(sums.total), 1)
+    squared = np.asarray(sums.squared) / count
+    dof, fused = np.asarray(sums.nis_dof), np.asarray(sums.nis_count)
+    there = dof > 0
+    # Few readings differ in how many there are and how large: find each bound once.
+    kinds, kind = np.unique(np.stack([dof, fused], 1)[there], axis=0, return_inverse=True)
+    bounds = [chi_square_interval(d / n, int(n)) for d, n in kinds.tolist()]
+    ends = np.array(bounds).reshape(-1, 2)[kind.ravel()]
+    each = (dof / np.maximum(fused, 1))[there]
+    return Curves(
+        time=plan.time,
+        rmse={
+            name: np.sqrt(squared[:, cut].sum(axis=1)) for name, cut in states.slices().items()
+        },
+        nees=np.asarray(sums.nees) / count,
+        nees_bounds=chi_square_interval(states.size, count),
+        nis_time=plan.sensed_time[there],
+        nis=np.asarray(sums.nis)[there] / dof[there],
+        nis_bounds=(ends[:, 0] / each, ends[:, 1] / each),
+    )
+
+
+def windows(
+    study: Study,
+    plan: Plan,
+    result: Result,
+    spans: Mapping[str, Sequence[tuple[float, float]]],
+) -> dict[str, dict[str, Any]]:
+    """RMSE, NEES and NIS over named stretches of time, and over the rest after the burn-in.
+
+    NIS is that of all sensors together, per degree of freedom.
+    """
+    states, sums = _states(study), result.sums
+    count = max(float(sums.total), 1.0)
+
+    def inside(time: np.ndarray, stretches: Sequence[tuple[float, float]]) -> np.ndarray:
+        return np.any([(time > a) & (time <= b) for a, b in stretches], axis=0)
+
+    def scores(times: np.ndarray, sensed: np.ndarray) -> dict[str, Any]:
+        if not times.any():
+            return {}
+        squared = np.asarray(sums.squared)[times].mean(axis=0) / count
+        freedom = float(np.asarray(sums.nis_dof)[sensed].sum())
+        nis = float(np.asarray(sums.nis)[sensed].sum())
+        return {
+            "rmse": {
+                name: float(np.sqrt(squared[cut].sum()))
+                for name, cut in states.slices().items()
+            },
+            "nees": float(np.asarray(sums.nees)[times].mean() / count),
+            "nis_per_dof": nis / freedom if freedom else float("nan"),
+        }
+
+    chosen = {
+        name: (inside(plan.time, stretches), inside(plan.sensed_time, stretches))
+        for name, stretches in spans.items()
+    }
+    if chosen:
+        taken = [np.any(masks, axis=0) for masks in zip(*chosen.values(), strict=True)]
+        chosen["else"] = plan.settled & ~taken[0], plan.sensed_settled & ~taken[1]
+    return {name: scores(*masks) for name, masks in chosen.items()}
+
+
+def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
+    r"""The mean of independent values and $\bar x \pm t_{n-1} \, s / \sqrt n$.
+
+    Source: Student, "The probable error of a mean", Biometrika 6(1), 1908.
+    """
+    count = len(values)
+    if count == 0:
+        return Interval(float("nan"), float("nan"), float("nan"))
+    mean = float(np.mean(values))
+    if count == 1:
+        return Interval(mean, float("nan"), float("nan"))
+    half = float(stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count))
+    return Interval(mean, mean - half, mean + half)
+
+
+def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]:
+    """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
+    rmse, ends = {}, {}
+    for name, cut in _parts(_states(study)).items():
+        squared = interval(np.asarray(scores.squared)[good][:, cut].sum(axis=1))
+        rmse[name] = float(np.sqrt(squared.mean))
+        ends[name] = [float(np.sqrt(max(end, 0.0))) for end in squared[1:]]
+    nees = interval(np.asarray(scores.nees)[good])
+    found: dict[str, Any] = {"rmse": rmse, "rmse_ci": ends}
+    found |= {"nees": nees.mean, "nees_ci": list(nees[1:])}
+    by_sensor: dict[str, dict[str, Any]] = {"nis": {}, "nis_ci": {}, "nis_dof": {}}
+    for number, installation in enumerate(study.scenario.rig.sensors):
+        values = np.asarray(scores.nis)[good][:, number]
+        dofs = np.asarray(scores.nis_dof)[good][:, number]
+        fused = np.isfinite(values)
+        nis = interval(values[fused])
+        by_sensor["nis"][installation.name] = nis.mean
+        by_sensor["nis_ci"][installation.name] = list(nis[1:])
+        by_sensor["nis_dof"][installation.name] = interval(dofs[fused]).mean
+    coverage = interval(np.asarray(scores.coverage)[good])
+    return (
+        found
+        | by_sensor
+        | {
+            "coverage_95": coverage.mean,
+            "coverage_95_ci": list(coverage[1:]),
+        }
+    )
+
+
+def _states(study: Study) -> Space:
+    return space_of(type(study.scenario.rig.prior.mean))
+
+
+def _headline(states: Space) -> str:
+    """The field that a filter is judged by: its position, or whatever comes first."""
+    return "position" if "position" in states.slices() else states.cls._fields[0]
+
+
+def _parts(states: Space) -> dict[str, slice]:
+    """Every field, and every component of fields of up to 3 components."""
+    parts = {}
+    for name, cut in states.slices().items():
+        parts[name] = cut
+        if 1 < cut.stop - cut.start <= 3:
+            parts |= {states.labels[i]: slice(i, i + 1) for i in range(cut.start, cut.stop)}
+    return parts
