@@ -4,9 +4,7 @@ import jsonschema
 import pytest
 
 from kedge.core.errors import ConfigError, UnknownName
-from kedge.files.config import build_filter, load_rig_config, rig_schema, shipped_rigs
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.particle import BootstrapParticle
+from kedge.files.config import load_rig_config, rig_schema, shipped_rigs
 
 RIG = """\
 [vehicle]
@@ -228,36 +226,3 @@ def test_the_schema_takes_what_the_loader_takes(tmp_path):
     assert check.is_valid(config)
     assert check.is_valid(config | {"prior": {"std": {"position": 0.1, "heading": [0.1]}}})
     assert not check.is_valid(config | {"priro": {}})
-
-
-def test_filters_from_what_is_typed():
-    assert isinstance(build_filter("extended"), ExtendedKalman)
-    particle = build_filter("particle: count=50, threshold=1")
-    assert isinstance(particle, BootstrapParticle)
-    assert (particle.count, particle.threshold) == (50, 1.0)
-    assert type(particle.threshold) is float
-
-
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("particle:cuont=5", "no parameter of particle called 'cuont' (did you mean 'count'?)"),
-        ("particle:count=5.0", "count: found '5.0', expected a whole number"),
-        ("particle:count=many", "count: found 'many', expected a whole number"),
-        ("particle:threshold=True", "threshold: found 'True', expected a number"),
-        ("particle:count", "found 'count', expected PARAMETER=VALUE"),
-        ("particle:count=5,count=6", "found 'count' twice"),
-        ("particle:count=1", "particle: count is 1, must be at least 2"),
-        ("extended:count=1", "no parameter of extended called 'count'; there are none"),
-    ],
-)
-def test_filters_that_cannot_be_built(spec, message):
-    with pytest.raises(ConfigError) as caught:
-        build_filter(spec)
-    assert message in str(caught.value)
-    assert str(caught.value).startswith(f"filter {spec!r}")
-
-
-def test_an_unknown_filter():
-    with pytest.raises(UnknownName, match=r"no filters called 'extendet' \(did you mean"):
-        build_filter("extendet")

@@ -8,7 +8,7 @@ import pytest
 import kedge
 from kedge.core.errors import ConfigError, ContractError, DataError
 from kedge.core.verdicts import Verdict
-from kedge.files.config import build_filter
+from kedge.files.filters import build_filter
 from kedge.files.problem import load_problem
 
 START = 1248272265000000000

@@ -42,6 +42,24 @@ def fresh_folder(path: str | os.PathLike[str], ours: str | None = None) -> Itera
         shutil.rmtree(draft, ignore_errors=True)
 
 
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file that appears complete or not at all, also if the machine stops meanwhile.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
+
+
 def _refuse(target: Path, ours: str | None) -> None:
     if target.exists() and not target.is_dir():
         raise DataError(f"{target}: is a file, expected a folder or a name that is free")

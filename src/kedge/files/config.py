@@ -4,11 +4,12 @@ Model, parameter, component and field names are checked against the registered c
 before any data is read.
 """
 
+import abc
 import dataclasses
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
@@ -16,11 +17,11 @@ from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 from kedge.core.errors import ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import Registry, sensors, unknown, vehicles
-from kedge.files.models import build_filter, components, parameters_of
+from kedge.files.filters import build_filter
+from kedge.files.models import build_model, components, parameters_of
 from kedge.files.plugins import load_modules
 from kedge.files.toml import Strict, read_toml
-
-__all__ = ["RigConfig", "build_filter", "load_rig_config", "rig_schema", "shipped_rigs"]
+from kedge.numerics.losses import Kind, Side
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Finite, Field(gt=0)]
@@ -70,6 +71,14 @@ class MountConfig(Strict):
     heading: Finite = 0.0
 
 
+class RobustConfig(Strict):
+    """How readings far from the prediction are weighed down."""
+
+    loss: Kind = "student"
+    tuning: Positive | None = None
+    side: Side = "both"
+
+
 class SensorConfig(Strict):
     """One installed sensor and where its readings are."""
 
@@ -83,7 +92,8 @@ class SensorConfig(Strict):
     latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
     rate: Positive | None = None
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
-    student_dof: Positive | None = None
+    robust: RobustConfig | None = None
+    recovery: Positive | None = None
     mount: MountConfig | None = None
     std: dict[str, str] = {}
     covariance: list[str] | None = None
@@ -161,20 +171,15 @@ class OutputConfig(Strict):
     rate: Positive = 10.0
 
 
-class RigConfig(Strict):
-    """A vehicle, its sensors, where their readings stand in a log, and a filter."""
+class AbstractRigConfig(Strict):
+    """What rigs and scenarios share: a vehicle, its sensors and what is believed at first."""
 
-    title: str = ""
-    format: str = "folder"
     modules: list[str] = []
     """Python files with vehicles, sensors and filters of your own, relative to this file."""
     vehicle: VehicleConfig
-    control: ControlConfig | None = None
     sensors: dict[str, SensorConfig] = {}
     maps: dict[str, MapConfig] = {}
     prior: PriorConfig = PriorConfig()
-    filter: FilterConfig = FilterConfig()
-    output: OutputConfig = OutputConfig()
     _origin: str = PrivateAttr("")
 
     @property
@@ -183,22 +188,18 @@ class RigConfig(Strict):
         return self._origin
 
     def complaints(self) -> Iterator[str]:
-        """A control or a prior that does not fit the vehicle."""
+        """Parameters that the vehicle refuses, a prior that does not fit its state."""
         try:
-            vehicle = vehicles.get(self.vehicle.model)(**self.vehicle.parameters)
+            vehicle = build_model(vehicles.get(self.vehicle.model), self.vehicle.parameters)
         except (ContractError, TypeError) as error:
             yield f"vehicle.model: {error}"
             return
-        driven = list(components(type(vehicle.drive(0.0))))
-        if driven and self.control is None:
-            yield (
-                f"control: this key is missing; vehicle {self.vehicle.model!r} is driven by "
-                f"{', '.join(driven)}"
-            )
-        for name in self.control.columns if self.control else ():
-            if name not in driven:
-                yield f"control.columns.{name}: {unknown('control component', name, driven)}"
+        yield from self.drive_complaints(type(vehicle.drive(0.0)))
         yield from self._prior_complaints(charts_of(type(vehicle.start())))
+
+    @abc.abstractmethod
+    def drive_complaints(self, control: Any) -> Iterator[str]:
+        """What is wrong with where the control comes from."""
 
     def _prior_complaints(self, own: dict[str, Chart]) -> Iterator[str]:
         prior, fields = self.prior, [*own, *self.vehicle.slow]
@@ -228,6 +229,28 @@ class RigConfig(Strict):
         yield from _covariance_complaints(prior.covariance, sum(c.size for c in own.values()))
 
 
+class RigConfig(AbstractRigConfig):
+    """A vehicle, its sensors, where their readings stand in a log, and a filter."""
+
+    title: str = ""
+    format: str = "folder"
+    control: ControlConfig | None = None
+    filter: FilterConfig = FilterConfig()
+    output: OutputConfig = OutputConfig()
+
+    def drive_complaints(self, control: Any) -> Iterator[str]:
+        """A control that is missing, or has components that the vehicle does not know."""
+        driven = list(components(control))
+        if driven and self.control is None:
+            yield (
+                f"control: this key is missing; vehicle {self.vehicle.model!r} is driven by "
+                f"{', '.join(driven)}"
+            )
+        for name in self.control.columns if self.control else ():
+            if name not in driven:
+                yield f"control.columns.{name}: {unknown('control component', name, driven)}"
+
+
 def _covariance_complaints(rows: list[list[float]], size: int) -> Iterator[str]:
     if [len(row) for row in rows] != [size] * size:
         yield f"prior.covariance: expected {size} rows of {size} numbers"
@@ -250,15 +273,48 @@ def _model_complaints(
     except UnknownName as error:
         yield f"model: {error}"
         return
-    for key in parameters:
+    for key, value in parameters.items():
         if key not in known:
             yield f"parameters.{key}: {unknown(f'parameter of {name}', key, list(known))}"
+        elif isinstance(known[key], int) and value != int(value):
+            yield f"parameters.{key}: found {value:g}, expected a whole number"
+
+
+def shipped(kind: str) -> list[str]:
+    """The names of the files that come with kedge, of a kind: "rigs" or "scenarios"."""
+    files = resources.files("kedge").joinpath(kind).iterdir()
+    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
 
 
 def shipped_rigs() -> list[str]:
     """The names of the rigs that come with kedge."""
-    files = resources.files("kedge").joinpath("rigs").iterdir()
-    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
+    return shipped("rigs")
+
+
+C = TypeVar("C", bound=AbstractRigConfig)
+
+
+def load_config(
+    kind: str, name: str, model: type[C], overrides: Mapping[str, str] | None = None
+) -> C:
+    """Read a shipped file of a ``kind`` ("rigs", "scenarios") by name, or a file by path.
+
+    Raises:
+        UnknownName: none of that name is shipped.
+        ConfigError: the file is missing or wrong; one line for each mistake.
+    """
+    path = Path(name)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        load_modules(path)
+        config = read_toml(path, model, overrides)
+    elif name not in shipped(kind):
+        raise UnknownName(unknown(kind.removesuffix("s"), name, shipped(kind)))
+    else:
+        place = resources.files("kedge").joinpath(kind, f"{name}.toml")
+        with resources.as_file(place) as path:
+            config = read_toml(path, model, overrides)
+    config._origin = str(path)
+    return config
 
 
 def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> RigConfig:
@@ -272,18 +328,7 @@ def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> Rig
         UnknownName: no rig of that name is shipped.
         ConfigError: the file is missing or wrong; one line for each mistake.
     """
-    path = Path(rig)
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        load_modules(path)
-        config = read_toml(path, RigConfig, overrides)
-    elif rig not in shipped_rigs():
-        raise UnknownName(unknown("rig", rig, shipped_rigs()))
-    else:
-        shipped = resources.files("kedge").joinpath("rigs", f"{rig}.toml")
-        with resources.as_file(shipped) as path:
-            config = read_toml(path, RigConfig, overrides)
-    config._origin = str(path)
-    return config
+    return load_config("rigs", rig, RigConfig, overrides)
 
 
 def rig_schema() -> dict[str, Any]:

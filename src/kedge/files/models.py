@@ -1,13 +1,10 @@
-"""Registered models as files name them: their numbers, the parts of their fields, filters."""
+"""Registered models as files name them: their numbers and the parts of their fields."""
 
-import ast
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
-from kedge.core.contracts import AbstractFilter
-from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import Chart, charts_of
-from kedge.core.registry import filters, unknown
 
 
 def parameters_of(cls: type) -> dict[str, int | float]:
@@ -17,6 +14,13 @@ def parameters_of(cls: type) -> dict[str, int | float]:
         for field in dataclasses.fields(cls)
         if isinstance(field.default, int | float) and not isinstance(field.default, bool)
     }
+
+
+def build_model(cls: type, parameters: Mapping[str, float], **others: Any) -> Any:
+    """An instance; numbers from a file become whole where the model's own are."""
+    known = parameters_of(cls)
+    whole = {key: int(v) for key, v in parameters.items() if isinstance(known.get(key), int)}
+    return cls(**(dict(parameters) | whole), **others)
 
 
 def parts(field: str, shape: tuple[int, ...]) -> tuple[str, ...]:
@@ -45,43 +49,3 @@ def components(cls: Any) -> dict[str, str]:
         for field, chart in charts_of(cls).items()
         for name in columns_of(field, chart)
     }
-
-
-def build_filter(spec: str) -> AbstractFilter:
-    """A filter from what is typed: ``extended`` or ``particle:count=5000,threshold=0.3``.
-
-    Raises:
-        UnknownName: there is no such filter.
-        ConfigError: a parameter is unknown, of the wrong type or refused by the filter.
-    """
-    name, _, rest = spec.partition(":")
-    cls = filters.get(name.strip())
-    known, given = parameters_of(cls), {}
-    for item in rest.split(",") if rest.strip() else ():
-        key, equals, text = (part.strip() for part in item.partition("="))
-        if not equals:
-            raise ConfigError(f"filter {spec!r}: found {item!r}, expected PARAMETER=VALUE")
-        if key not in known:
-            raise ConfigError(
-                f"filter {spec!r}: {unknown(f'parameter of {name}', key, list(known))}"
-            )
-        if key in given:
-            raise ConfigError(f"filter {spec!r}: found {key!r} twice, expected it once")
-        given[key] = _number(spec, key, text, type(known[key]))
-    try:
-        return cls(**given)
-    except ContractError as error:
-        raise ConfigError(f"filter {spec!r}: {error}") from error
-
-
-def _number(spec: str, key: str, text: str, kind: type) -> int | float:
-    try:
-        value = ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        value = None
-    if type(value) is int:
-        return kind(value)
-    if type(value) is float and kind is float:
-        return value
-    what = "a whole number" if kind is int else "a number"
-    raise ConfigError(f"filter {spec!r}: {key}: found {text!r}, expected {what}")

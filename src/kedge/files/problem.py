@@ -8,19 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int64
 
-from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
-from kedge.core.errors import ContractError, DataError
-from kedge.core.manifolds import Chart, charts_of, space_of
-from kedge.core.registry import sensors, unknown, vehicles
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import DataError
+from kedge.core.manifolds import Chart, charts_of
+from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
-from kedge.estimation.rig import Installation, Mount, Rig, check_reads
+from kedge.estimation.rig import Rig
+from kedge.files.building import (
+    build_installation,
+    build_prior,
+    build_sensor,
+    build_vehicle,
+    check_noise,
+)
 from kedge.files.config import RigConfig, load_rig_config
 from kedge.files.logs import RawLog, digest_inputs
 from kedge.files.models import columns_of, components
 from kedge.files.readers import read_log
 from kedge.files.readings import (
-    build_sensor,
     find_columns,
     find_table,
     join,
@@ -30,7 +35,6 @@ from kedge.files.readings import (
     read_readings,
 )
 from kedge.files.tables import Table, require_finite
-from kedge.vehicles.augmented import Wander, augment
 
 MOST_OUTPUTS = 5e6
 """More estimates than this in one log is a wrong stamp rather than a long drive."""
@@ -90,12 +94,12 @@ def load_problem(
         KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
     """
     config = load_rig_config(rig, overrides)
-    bare, vehicle = _vehicle(config)
+    bare, vehicle = build_vehicle(config)
     raw = read_log(log, config.format)
     notes = list(raw.notes)
     reference = _reference(raw, truth)
     control_stamps, controls = read_controls(config, raw, bare)
-    plain = {name: build_sensor(config, raw, name) for name in config.sensors}
+    plain = {name: build_sensor(config, name, raw.maps) for name in config.sensors}
     stamped, sources = {}, {}
     for name, sensor in config.sensors.items():
         table = keep_targets(config, raw, name, notes)
@@ -132,10 +136,15 @@ def load_problem(
             notes.append(f"{name}: {early} readings before the start were left out")
         stamped[name], sources[name] = _cut(stamped[name], sources[name], inside)
 
-    prior = _prior(config, bare, vehicle, poses, start)
-    installed = tuple(_installation(config, name, plain[name]) for name in plain)
+    known = {}
+    if poses is not None:
+        charts = charts_of(type(vehicle.start()))
+        for field in config.prior.from_truth:
+            known[field] = _pose_at(poses, field, charts[field], start)
+    prior = build_prior(config, bare, vehicle, known)
+    installed = tuple(build_installation(config, name, plain[name]) for name in plain)
     built = Rig(vehicle, installed, prior)
-    _check_noise(config, built)
+    check_noise(config, built)
     recording = assemble(
         start, end, control_stamps, controls, list(stamped.values()), config.output.rate
     )
@@ -148,38 +157,12 @@ def load_problem(
         filter=config.filter.name,
         sources=sources,
         target_names={
-            name: map_of(config, raw, name).ids
+            name: map_of(config, name, raw.maps).ids
             for name, spec in config.sensors.items()
             if spec.map is not None
         },
         notes=notes,
         inputs_digest=digest_inputs(raw),
-    )
-
-
-def _vehicle(config: RigConfig) -> tuple[AbstractVehicle, AbstractVehicle]:
-    """The vehicle without and with its slow states, once every sensor is known to fit it."""
-    try:
-        bare = vehicles.get(config.vehicle.model)(**config.vehicle.parameters)
-        plain = {n: sensors.get(s.model)(**s.parameters) for n, s in config.sensors.items()}
-        slow = {
-            name: Wander(slow.walk, slow.time_constant or float("inf"))
-            for name, slow in config.vehicle.slow.items()
-        }
-        vehicle = augment(bare, slow, list(plain.values()))
-        for name, sensor in plain.items():
-            installation = _installation(config, name, sensor)
-            check_reads(installation, type(vehicle.start()), type(bare).__name__)
-    except ContractError as error:
-        raise ContractError(f"{config.origin}: {error}") from error
-    return bare, vehicle
-
-
-def _installation(config: RigConfig, name: str, sensor: AbstractSensor) -> Installation:
-    spec = config.sensors[name]
-    mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
-    return Installation(
-        name, sensor, spec.rate, spec.latency, spec.gate, mount, spec.student_dof
     )
 
 
@@ -219,29 +202,6 @@ def _silences(control_stamps: Int64[np.ndarray, " n"], end: int) -> list[str]:
     if gaps[-1] > SILENCE:
         notes.append(f"control: it ends {gaps[-1]:.1f} s before the log; the last is held")
     return notes
-
-
-def _check_noise(config: RigConfig, rig: Rig) -> None:
-    """Refuse noise that is no noise.
-
-    Raises:
-        ContractError: a standard deviation is not above 0, or a density is below 0.
-    """
-    for installation in rig.sensors:
-        sensor = installation.sensor.facing(0)
-        std = sensor.noise_std(sensor.project(rig.prior.mean))
-        for field, value in std._asdict().items():
-            if not np.all(np.asarray(value) > 0):
-                raise ContractError(
-                    f"{config.origin}: sensors.{installation.name}: the noise of {field} has "
-                    f"the standard deviation {np.asarray(value).tolist()}, expected above 0"
-                )
-    for field, value in rig.vehicle.noise_density()._asdict().items():
-        if np.any(np.asarray(value) < 0):
-            raise ContractError(
-                f"{config.origin}: vehicle: the noise density of {field} is "
-                f"{np.asarray(value).tolist()}, expected 0 or more"
-            )
 
 
 def _reference(raw: RawLog, truth: str) -> Table | None:
@@ -326,32 +286,6 @@ def _pose_at(table: Table, field: str, chart: Chart, stamp: int) -> np.ndarray:
         return chart.boxplus(before, share * chart.boxminus(behind, before))
 
     return np.asarray(between(values[after - 1], values[after], share))
-
-
-def _prior(
-    config: RigConfig,
-    bare: AbstractVehicle,
-    vehicle: AbstractVehicle,
-    poses: Table | None,
-    start: int,
-) -> Gaussian:
-    prior, mean = config.prior, vehicle.start()
-    charts, given = charts_of(type(mean)), {}
-    for field, values in prior.mean.items():
-        full = np.broadcast_to(values, charts[field].shape or (1,))
-        given[field] = jnp.asarray(full.reshape(charts[field].shape))
-    if poses is not None:
-        for field in prior.from_truth:
-            given[field] = jnp.asarray(_pose_at(poses, field, charts[field], start))
-    own = space_of(type(bare.start()))
-    stds = dict(prior.std) | {name: [slow.std] for name, slow in config.vehicle.slow.items()}
-    cov = np.zeros((space_of(type(mean)).size,) * 2)
-    for field, cut in space_of(type(mean)).slices().items():
-        if field in stds:
-            cov[cut, cut] = np.diag(np.broadcast_to(stds[field], cut.stop - cut.start) ** 2)
-    if prior.covariance is not None:
-        cov[: own.size, : own.size] = prior.covariance
-    return Gaussian(mean._replace(**given), jnp.asarray(cov))
 
 
 def _cut(

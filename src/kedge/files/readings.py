@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int64
 
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
-from kedge.core.errors import ConfigError, ContractError, DataError
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import charts_of, space_of
-from kedge.core.registry import sensors, unknown
+from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND, Readings, Stamped
-from kedge.files.config import RigConfig, SensorConfig
+from kedge.files.config import AbstractRigConfig, RigConfig, SensorConfig
 from kedge.files.logs import RawLog, TargetMap
-from kedge.files.models import columns_of, components, parts
+from kedge.files.models import columns_of, components
 from kedge.files.tables import Table, require_finite
 
 
@@ -80,8 +80,8 @@ def read_controls(
     return table.stamps, _fields(cls, columns, len(table.stamps))
 
 
-def map_of(config: RigConfig, raw: RawLog, name: str) -> TargetMap:
-    """The map of a sensor's targets, from the rig or the log.
+def map_of(config: AbstractRigConfig, name: str, maps: Mapping[str, TargetMap]) -> TargetMap:
+    """The map of a sensor's targets, the file's own or one of ``maps``.
 
     Raises:
         ConfigError: neither has one of that name.
@@ -91,42 +91,12 @@ def map_of(config: RigConfig, raw: RawLog, name: str) -> TargetMap:
         spec = config.maps[wanted]
         columns = {column: np.array(values) for column, values in spec.columns.items()}
         return TargetMap(tuple(spec.ids), columns)
-    if wanted not in raw.maps:
-        known = [*config.maps, *raw.maps]
+    if wanted not in maps:
+        known = [*config.maps, *maps]
         raise ConfigError(
             f"{config.origin}: sensors.{name}.map: {unknown('map', wanted, known)}"
         )
-    return raw.maps[wanted]
-
-
-def build_sensor(config: RigConfig, raw: RawLog, name: str) -> AbstractSensor:
-    """A sensor with its parameters and its map.
-
-    Raises:
-        ConfigError: the map is unknown, or lacks a column.
-        ContractError: the sensor refuses its parameters.
-    """
-    spec = config.sensors[name]
-    cls = sensors.get(spec.model)
-    try:
-        sensor = cls(**spec.parameters)
-        if spec.map is None:
-            return sensor
-        targets, default = map_of(config, raw, name), sensor.target
-        fields = {}
-        for field, value in default._asdict().items():
-            labels = parts(field, np.shape(value)[1:])
-            for label in labels:
-                if label not in targets.columns:
-                    what = unknown("column", label, list(targets.columns))
-                    raise ConfigError(
-                        f"{config.origin}: sensors.{name}: map {spec.map!r}: {what}"
-                    )
-            shape = (len(targets.ids), *np.shape(value)[1:])
-            fields[field] = join(targets.columns, labels, shape)
-        return cls(**spec.parameters, target=type(default)(**fields))
-    except ContractError as error:
-        raise ContractError(f"{config.origin}: sensors.{name}: {error}") from error
+    return maps[wanted]
 
 
 def keep_targets(config: RigConfig, raw: RawLog, name: str, notes: list[str]) -> Table:
@@ -157,7 +127,7 @@ def read_readings(config: RigConfig, raw: RawLog, name: str, table: Table, cls: 
     columns = find_columns(table, components(cls), spec.columns, f"sensors.{name}")
     target = np.zeros(len(table.stamps), np.int64)
     if spec.map is not None:
-        index = {target: at for at, target in enumerate(map_of(config, raw, name).ids)}
+        index = {target: at for at, target in enumerate(map_of(config, name, raw.maps).ids)}
         texts = table.texts[spec.target or "target"]
         target = np.array([index.get(text, -1) for text in texts], np.int64)
     readings = Readings(

@@ -1,0 +1,197 @@
+"""Scenario files: a rig in a simulated world, how it is scored, and what others published."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from kedge.core.conditions import parse_condition, parse_term
+from kedge.core.errors import KedgeError
+from kedge.estimation.rig import Rig
+from kedge.files.building import (
+    build_installation,
+    build_prior,
+    build_sensor,
+    build_vehicle,
+    check_noise,
+)
+from kedge.files.config import AbstractRigConfig, Finite, Positive, load_config, shipped
+from kedge.files.filters import build_filter
+from kedge.files.toml import Strict
+from kedge.simulation.scenario import Scenario
+
+MOST_STEPS = 1e7
+"""More steps than this in one run is a wrong dt rather than a long scenario."""
+
+NotNegative = Annotated[Finite, Field(ge=0)]
+
+
+class RunsConfig(Strict):
+    """What is simulated, and how it is scored; all times are in s.
+
+    ``score`` is "pooled" (root of the mean squared error over runs and times) or
+    "time-mean-rms" (mean over analysis times of the root mean square over the state: "rmse.a").
+    ``start`` "prior" draws the truth from the prior, and filters start from the prior; with
+    "truth" they start from the true state with an error drawn from the prior's covariance.
+    The truth is drawn ``spin_up`` before time 0.
+    """
+
+    title: str
+    source: str
+    duration: Positive
+    dt: Positive = 0.1
+    spin_up: NotNegative = 0.0
+    burn_in: NotNegative = 0.0
+    runs: Annotated[int, Field(ge=1)] = 100
+    seed: Annotated[int, Field(ge=0)] = 0
+    start: Literal["prior", "truth"] = "prior"
+    score: Literal["pooled", "time-mean-rms"] = "pooled"
+    filters: Annotated[list[str], Field(min_length=1)]
+
+    def complaints(self) -> Iterator[str]:
+        """Times that do not go together, filters that cannot be built."""
+        if self.dt > self.duration:
+            yield f"dt: found {self.dt:g} s, expected at most the duration, {self.duration:g} s"
+        if self.duration / self.dt > MOST_STEPS:
+            yield (
+                f"dt: found {self.dt:g} s, which makes {self.duration / self.dt:.1g} steps; "
+                f"expected at most {MOST_STEPS:.0e}"
+            )
+        if self.burn_in >= self.duration:
+            yield (
+                f"burn_in: found {self.burn_in:g} s, expected less than the duration, "
+                f"{self.duration:g} s"
+            )
+        yield from filter_complaints("filters", self.filters)
+
+
+class PublishedConfig(Strict):
+    """A score from the literature; its source, if it is not that of the scenario."""
+
+    rmse: Positive
+    source: str = ""
+
+
+class ExpectedConfig(Strict):
+    """Where a score should lie, and who says so: ``kalman.all_steps.rmse.position``."""
+
+    score: str
+    between: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    source: str = ""
+
+    def complaints(self) -> Iterator[str]:
+        """A score that cannot be understood, a band upside down."""
+        yield from condition_complaints("score", parse_term, self.score)
+        if self.between[0] > self.between[1]:
+            yield f"between: found {self.between}, expected the lower end first"
+
+
+class ClaimConfig(Strict):
+    """What somebody states, and the condition on the scores by which it stands or falls."""
+
+    text: str
+    source: str
+    test: str
+    means: str = ""
+    """What the test measures, and what follows from its outcome."""
+
+    def complaints(self) -> Iterator[str]:
+        """A test that cannot be understood."""
+        yield from condition_complaints("test", parse_condition, self.test)
+
+
+class ScenarioConfig(AbstractRigConfig):
+    """A scenario file."""
+
+    scenario: RunsConfig
+    published: dict[str, PublishedConfig] = {}
+    expected: list[ExpectedConfig] = []
+    claims: list[ClaimConfig] = []
+    errata: list[str] = []
+    """Mistakes of the source that matter to who uses it."""
+    windows: dict[str, list[Annotated[list[Finite], Field(min_length=2, max_length=2)]]] = {}
+    """Stretches of time (from, to; s) that are scored apart, by name."""
+
+    def drive_complaints(self, control: Any) -> Iterator[str]:
+        """Keys that belong to logs: a scenario drives as its vehicle's ``drive`` says."""
+        del control
+        for name, sensor in self.sensors.items():
+            log_keys = ("source", "columns", "target", "ignore_targets", "std", "covariance")
+            for key in log_keys:
+                if getattr(sensor, key):
+                    yield f"sensors.{name}.{key}: a scenario reads no log; leave this key out"
+            if sensor.map is not None and sensor.map not in self.maps:
+                yield (
+                    f"sensors.{name}.map: found {sensor.map!r}, expected one of "
+                    f"{list(self.maps)}"
+                )
+        if self.prior.from_truth:
+            yield (
+                "prior.from_truth: a scenario has no log to take it from; "
+                'leave this key out (scenario.start = "truth" starts near the truth)'
+            )
+        yield from filter_complaints("published", self.published)
+
+
+class Setting(NamedTuple):
+    """A scenario file, read and built."""
+
+    config: ScenarioConfig
+    scenario: Scenario
+
+
+def condition_complaints(key: str, parse: Callable[[str], Any], text: str) -> Iterator[str]:
+    """A condition that cannot be read, as ``key: message``."""
+    try:
+        parse(text)
+    except KedgeError as error:
+        yield f"{key}: {error}"
+
+
+def filter_complaints(key: str, specs: Mapping[str, Any] | list[str]) -> Iterator[str]:
+    """Filters that are named twice or cannot be built, each as ``key: message``."""
+    names = list(specs)
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield f"{key}: found {name!r} twice, expected each filter once"
+    for name in dict.fromkeys(names):
+        try:
+            build_filter(name)
+        except KedgeError as error:
+            yield f"{key}: {error}"
+
+
+def shipped_scenarios() -> list[str]:
+    """The names of the scenarios that come with kedge."""
+    return shipped("scenarios")
+
+
+def load_scenario(name: str, overrides: Mapping[str, str] | None = None) -> Setting:
+    """Read a shipped scenario by name, or a TOML file by path.
+
+    Args:
+        name: one without a slash or ``.toml`` is that of a shipped scenario.
+        overrides: dotted key -> value as TOML, in place of what the file says.
+
+    Raises:
+        UnknownName: no scenario of that name is shipped.
+        ConfigError: the file is missing or wrong; one line for each mistake.
+        ContractError: vehicle, sensors and prior do not fit together.
+    """
+    return build_setting(load_config("scenarios", name, ScenarioConfig, overrides))
+
+
+def build_setting(config: ScenarioConfig) -> Setting:
+    """Build what a scenario file describes.
+
+    Raises:
+        ContractError: vehicle, sensors and prior do not fit together.
+    """
+    bare, vehicle = build_vehicle(config)
+    sensors = tuple(
+        build_installation(config, name, build_sensor(config, name, {}))
+        for name in config.sensors
+    )
+    rig = Rig(vehicle, sensors, build_prior(config, bare, vehicle, {}))
+    check_noise(config, rig)
+    about = config.scenario
+    return Setting(config, Scenario(rig, about.duration, about.dt, about.spin_up))

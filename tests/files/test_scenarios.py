@@ -1,0 +1,108 @@
+"""Scenario files: what is built from them, and all that is wrong with one at once."""
+
+import numpy as np
+import pytest
+
+from kedge.core.errors import ConfigError, ContractError, UnknownName
+from kedge.files.scenarios import load_scenario, shipped_scenarios
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_shipped_scenarios_can_be_built(name):
+    config, scenario = load_scenario(name)
+    assert config.scenario.title
+    assert scenario.steps > 0
+    assert len(scenario.rig.sensors) == len(config.sensors)
+
+
+def test_what_stands_in_the_file_is_what_is_built():
+    config, scenario = load_scenario("yard", {"scenario.spin_up": "3", "scenario.dt": "0.2"})
+    assert (scenario.duration, scenario.dt, scenario.spin_up) == (60.0, 0.2, 3.0)
+    (camera,) = scenario.rig.sensors
+    assert (camera.name, camera.rate, camera.targets) == ("camera", 2.0, 3)
+    np.testing.assert_allclose(camera.sensor.target.position[1], [-5.0, 15.0])
+    np.testing.assert_allclose(np.diag(scenario.rig.prior.cov), [0.09, 0.09, 0.0025])
+    assert config.scenario.filters[1] == "extended"
+
+
+def test_large_systems_are_sized_by_the_file(tmp_path):
+    path = tmp_path / "ring.toml"
+    path.write_text(
+        """
+        [scenario]
+        title = "a ring"
+        source = "these tests"
+        duration = 1.0
+        filters = ["etkf:count=5"]
+        [vehicle]
+        model = "lorenz96"
+        parameters = { size = 12 }
+        [sensors.some]
+        model = "components"
+        parameters = { size = 12, stride = 3 }
+        [prior]
+        mean = { values = 2.5 }
+        std = { values = 1 }
+        """
+    )
+    rig = load_scenario(str(path)).scenario.rig
+    np.testing.assert_array_equal(rig.prior.mean.values, np.full(12, 2.5))
+    assert rig.sensors[0].sensor.dof() == 4
+    with pytest.raises(ConfigError, match=r"size: found 12\.5, expected a whole number"):
+        load_scenario(str(path), {"vehicle.parameters.size": "12.5"})
+    with pytest.raises(ContractError, match=r"ring\.toml: .*reads"):
+        load_scenario(str(path), {"sensors.some.parameters.size": "13"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "lines"),
+    [
+        (
+            {"scenario.runs": "0", "scenario.score": "best", "scenario.sed": "1"},
+            ["runs: found 0", "score: found 'best'", r"no key called 'sed' \(did you mean"],
+        ),
+        (
+            {"scenario.filters": '["extnded", "kalman", "kalman"]', "scenario.burn_in": "60"},
+            [
+                r"filters: no filters called 'extnded' \(did you mean 'extended'",
+                "filters: found 'kalman' twice",
+                "burn_in: found 60 s, expected less than the duration",
+            ],
+        ),
+        ({"scenario.dt": "61"}, ["dt: found 61 s, expected at most the duration"]),
+        ({"scenario.dt": "1e-6"}, ["dt: found 1e-06 s, which makes 6e"]),
+        ({"scenario.filters": "[]"}, ["filters: found"]),
+        (
+            {
+                "sensors.camera.map": "pots",
+                "sensors.camera.source": "x",
+                "prior.from_truth": '["position"]',
+                "prior.std.speed": "1",
+                "published.extnded.rmse": "1",
+            },
+            [
+                "sensors.camera.map: found 'pots'",
+                "sensors.camera.source: a scenario reads no log",
+                "prior.from_truth: a scenario has no log",
+                "published: no filters called 'extnded'",
+                "prior.std.speed: no field of the state called 'speed'",
+            ],
+        ),
+    ],
+)
+def test_all_mistakes_are_said_at_once(changes, lines):
+    with pytest.raises(ConfigError) as caught:
+        load_scenario("yard", changes)
+    said = str(caught.value).splitlines()
+    assert len(said) == len(lines)
+    for line in lines:
+        with pytest.raises(ConfigError, match=line):
+            raise caught.value
+    assert all("yard.toml: " in line for line in said)
+
+
+def test_an_unknown_scenario_names_those_that_exist():
+    with pytest.raises(
+        UnknownName, match=r"no scenario called 'yrad' \(did you mean 'yard'\?\)"
+    ):
+        load_scenario("yrad")
