@@ -186,7 +186,7 @@ def test_one_message_exit_2_nothing_written(spoil, site, kedge):
         (["--filter", "extendet"], ["extendet", "extended"]),
         (["--filter", "particle:cuont=5"], ["cuont", "count"]),
         (["--filter", "kalman"], ["kalman", "linear", "extended"]),
-        (["--filter", "ensemble", "--smooth"], ["smoothed", "Gaussian"]),
+        (["--filter", "particle", "--smooth"], ["smoothed", "Gaussian"]),
         (["--set", "output.rate"], ["KEY=VALUE"]),
         (["--set", "output.speed=3"], ["output.speed"]),
         (["--until", "-3"], ["until"]),

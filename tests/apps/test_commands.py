@@ -169,7 +169,7 @@ def test_list_names_every_family(kedge):
     code, out, _ = kedge("list", "--json")
     found = json.loads(out)
     assert code == 0
-    assert set(found) == {"vehicles", "sensors", "filters", "rigs", "datasets"}
+    assert set(found) == {"vehicles", "sensors", "filters", "rigs", "scenarios", "datasets"}
     assert found["vehicles"]["unicycle"]["state"] == {
         "position_x": "m", "position_y": "m", "heading": "rad",
     }  # fmt: skip

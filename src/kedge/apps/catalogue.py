@@ -6,7 +6,7 @@ from typing import Any
 from kedge.core.errors import UnknownName
 from kedge.core.registry import unknown
 
-FAMILIES = ("vehicles", "sensors", "filters", "rigs", "datasets")
+FAMILIES = ("vehicles", "sensors", "filters", "rigs", "scenarios", "datasets")
 
 
 def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
@@ -24,7 +24,9 @@ def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
 
         found |= {family: table for family, table in everything().items() if family in chosen}
     if "rigs" in chosen:
-        found["rigs"] = _rigs()
+        found["rigs"] = _titles("rigs")
+    if "scenarios" in chosen:
+        found["scenarios"] = _titles("scenarios")
     if "datasets" in chosen:
         found["datasets"] = _datasets()
     return {family: found[family] for family in chosen}
@@ -58,20 +60,20 @@ def _detail(console: Any, text: str) -> None:
 
 
 def _plain(value: Any) -> Any:
+    if value is None:
+        return "none"
     return value if isinstance(value, (int, float, str)) else "[...]"
 
 
-def _rigs() -> dict[str, Any]:
+def _titles(kind: str) -> dict[str, Any]:
     import tomllib
 
-    folder = files("kedge") / "rigs"
-    names = sorted(p.name for p in folder.iterdir() if p.name.endswith(".toml"))
-    return {
-        name.removesuffix(".toml"): {
-            "summary": tomllib.loads((folder / name).read_text()).get("title", "")
-        }
-        for name in names
-    }
+    folder, found = files("kedge") / kind, {}
+    for name in sorted(p.name for p in folder.iterdir() if p.name.endswith(".toml")):
+        tree = tomllib.loads((folder / name).read_text())
+        title = tree.get("scenario", tree).get("title", "")
+        found[name.removesuffix(".toml")] = {"summary": title}
+    return found
 
 
 def _datasets() -> dict[str, Any]:

@@ -9,6 +9,7 @@ import typer
 
 from kedge import __version__
 from kedge.apps.console import (
+    Interrupted,
     ThresholdMissed,
     parse_requirements,
     print_filters,
@@ -45,6 +46,10 @@ Seed = Annotated[int, typer.Option(help="Seed of the filters that draw random nu
 Set = Annotated[
     list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
 ]
+SetScenario = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change the scenario, e.g. scenario.duration=20."),
+]
 Require = Annotated[
     list[str] | None,
     typer.Option(
@@ -52,6 +57,10 @@ Require = Annotated[
     ),
 ]
 
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with the study that the folder holds.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace the study that it holds.")]
 Report = Annotated[bool, typer.Option(help="Draw the report and its figures.")]
 
 
@@ -60,7 +69,7 @@ def list_(
     what: Annotated[str, typer.Argument(help="A family, or 'all'.")] = "all",
     as_json: Json = False,
 ) -> None:
-    """Vehicles, sensors, filters, rigs and data sets that there are."""
+    """Vehicles, sensors, filters, rigs, scenarios and data sets that there are."""
     from kedge.apps.catalogue import catalogue, print_catalogue
 
     found = catalogue(what)
@@ -113,14 +122,76 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Several filters over one recorded log."""
-    from kedge.apps.workflow import execute, load, split_names
+    from kedge.apps.workflow import execute, load
+    from kedge.files.filters import split_names
 
-    conditions = parse_requirements(require_ or [])
     conditions = parse_requirements(require_ or [])
     problem = load(rig, log, truth, until, set_)
     names = split_names(filters)
     summary = execute(problem, names, out, "compare", seed, report)
     _finish(summary, out, conditions, as_json)
+
+
+@app.command()
+def study(
+    scenario: Annotated[str, typer.Argument(help="A shipped scenario's name or a TOML file.")],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Instead of the scenario's own.")] = None,
+    filters: Annotated[
+        str | None, typer.Option(help="Names with commas between, instead of its own.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's own.")] = None,
+    chunk: Annotated[
+        int | None,
+        typer.Option(help="Runs in one batch; another moves the last digits."),
+    ] = None,
+    engine: Annotated[
+        str, typer.Option(help="Who computes: local, processes (one a core) or dask.")
+    ] = "local",
+    scheduler: Annotated[
+        str | None, typer.Option(help="Of the engine dask: tcp://HOST:PORT.")
+    ] = None,
+    shard: Annotated[
+        str | None, typer.Option(help="Only part i of n: i/n; 'kedge merge' joins the parts.")
+    ] = None,
+    resume: Resume = False,
+    force: Force = False,
+    set_: SetScenario = None,
+    require_: Require = None,
+    as_json: Json = False,
+) -> None:
+    """Several filters over the same simulated runs, beside published scores."""
+    from kedge.apps.study import Options, execute
+
+    conditions = parse_requirements(require_ or [])
+    given = {} if chunk is None else {"chunk": chunk}
+    options = Options(
+        out, runs, filters, seed, set_, engine=engine, scheduler=scheduler, shard=shard,
+        resume=resume, force=force, **given,
+    )  # fmt: skip
+    summary = execute(scenario, options)
+    if shard is None:
+        _finish_study(summary, out, conditions, as_json)
+    elif as_json:
+        print_json(summary)
+    else:
+        print(f"shard {shard}: {len(summary['chunks'])} of {summary['of']} chunks in {out}")
+
+
+@app.command()
+def merge(
+    shards: Annotated[list[Path], typer.Argument(help="Folders that --shard left.")],
+    out: Out,
+    resume: Resume = False,
+    force: Force = False,
+    require_: Require = None,
+    as_json: Json = False,
+) -> None:
+    """Put the shards of a study together."""
+    from kedge.apps.study import merge as merge_shards
+
+    conditions = parse_requirements(require_ or [])
+    _finish_study(merge_shards(shards, out, resume, force), out, conditions, as_json)
 
 
 @app.command()
@@ -201,6 +272,24 @@ def _finish(
     require(summary["filters"], conditions)
 
 
+def _finish_study(
+    summary: dict[str, Any],
+    out: Path | None,
+    conditions: list[tuple[str, str, float]],
+    as_json: bool,
+) -> None:
+    from kedge.apps.study_output import print_study
+
+    if as_json:
+        print_json(summary)
+    else:
+        print_study(summary)
+        if out is not None:
+            shown = "report.html" if (out / "report.html").exists() else "summary.json"
+            print(f"\nresults: {out / shown}")
+    require(summary["filters"], conditions)
+
+
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
     try:
@@ -208,6 +297,9 @@ def main() -> None:
     except ThresholdMissed as error:
         print(f"kedge: {error}", file=sys.stderr)
         sys.exit(3)
+    except Interrupted as error:
+        print(f"kedge: interrupted; {error}", file=sys.stderr)
+        sys.exit(130)
     except KedgeError as error:
         print(f"kedge: {error}", file=sys.stderr)
         sys.exit(2)

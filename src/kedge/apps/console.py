@@ -16,6 +16,10 @@ class ThresholdMissed(KedgeError):
     """A threshold that the user asked for was missed: exit code 3."""
 
 
+class Interrupted(KedgeError):
+    """Ctrl-C, with what was kept: exit code 130."""
+
+
 @contextlib.contextmanager
 def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Give a function that says what is being done; a spinner on a terminal, else lines."""

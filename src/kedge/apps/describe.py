@@ -6,8 +6,9 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from kedge.core import registry
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle
 from kedge.core.manifolds import charts_of, space, space_of
+from kedge.files.filters import kinds_of
 
 
 def describe(cls: type) -> dict[str, Any]:
@@ -35,11 +36,15 @@ def parameters(cls: Any) -> dict[str, dict[str, Any]]:
     """Name to default and unit, for every parameter that a rig can set."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
+    typed = kinds_of(cls) if issubclass(cls, AbstractFilter) else {}
     for field in dataclasses.fields(cls):
-        if isinstance(field.default, (int, float, str, np.ndarray)):
+        default = field.default
+        if isinstance(default, AbstractFilter):
+            default = registry.filters.name_of(type(default))
+        if isinstance(default, (int, float, str, np.ndarray)) or field.name in typed:
             metadata = getattr(hints.get(field.name), "__metadata__", ())
             unit = next((m.unit for m in metadata if hasattr(m, "boxplus")), "")
-            found[field.name] = {"default": field.default, "unit": unit}
+            found[field.name] = {"default": default, "unit": unit}
     return found
 
 

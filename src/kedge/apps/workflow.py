@@ -20,10 +20,11 @@ from kedge.apps.output import write_results
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.smoother import compile_smoother
+from kedge.evaluation.health import concerns
 from kedge.evaluation.report import ReportContent, write_report
 from kedge.evaluation.score import Run, score
 from kedge.files.atomic import fresh_folder
-from kedge.files.config import build_filter
+from kedge.files.filters import build_filter
 from kedge.files.problem import Problem, load_problem
 from kedge.files.results import as_toml, digest, plain
 
@@ -39,7 +40,7 @@ def load(
     Raises:
         KedgeError: either cannot be used; one message says where and why.
     """
-    overrides = dict(_setting(text) for text in changes or [])
+    overrides = settings(changes)
     with progress() as say:
         say(f"reading {log}")
         problem = load_problem(rig, log, truth=truth, until=until, overrides=overrides)
@@ -79,20 +80,6 @@ def execute(
             say("drawing the report")
             write_report(folder, content_of(problem, runs, summary))
     return plain(summary)
-
-
-def split_names(names: str) -> list[str]:
-    """Filter names with commas between them; a comma inside parameters belongs to the name.
-
-    ``a:x=1,y=2,b`` is two names: what contains ``=`` but no ``:`` goes on with the one before.
-    """
-    found: list[str] = []
-    for part in names.split(","):
-        if found and "=" in part and ":" not in part:
-            found[-1] += f",{part}"
-        else:
-            found.append(part.strip())
-    return found
 
 
 def use_compilation_cache() -> None:
@@ -138,6 +125,10 @@ def run_filters(
         events = len(problem.recording.stamps)
         run.scores.update(seconds=seconds, microseconds_per_event=seconds / events * 1e6)
         runs.append(run)
+        if not name.endswith(SMOOTHER):
+            verdicts = np.asarray(estimates.outcome.verdict)
+            for concern in concerns(name, run.scores["health"], verdicts):
+                say(concern)
     _against_baseline(runs)
     return runs
 
@@ -214,8 +205,16 @@ def _result_digest(run: Run) -> str:
     return digest(*(np.asarray(leaf) for leaf in leaves))
 
 
-def _setting(text: str) -> tuple[str, str]:
-    key, separator, value = text.partition("=")
-    if not separator or not key:
-        raise ConfigError(f"--set {text!r}: expected KEY=VALUE, e.g. output.rate=5")
-    return key.strip(), value.strip()
+def settings(changes: Sequence[str] | None) -> dict[str, str]:
+    """What ``--set`` was given: dotted key -> value as TOML.
+
+    Raises:
+        ConfigError: one of them is no KEY=VALUE.
+    """
+    found = {}
+    for text in changes or ():
+        key, separator, value = text.partition("=")
+        if not separator or not key:
+            raise ConfigError(f"--set {text!r}: expected KEY=VALUE, e.g. output.rate=5")
+        found[key.strip()] = value.strip()
+    return found

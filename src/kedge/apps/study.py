@@ -1,0 +1,182 @@
+"""The work behind ``kedge study`` and ``kedge merge``: filters over a scenario's runs."""
+
+import json
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kedge.apps.console import Interrupted, progress
+from kedge.apps.engines import Job, chosen
+from kedge.apps.study_output import summary_of, write_study
+from kedge.apps.workflow import settings, use_compilation_cache
+from kedge.core.errors import ConfigError, DataError
+from kedge.evaluation.study import CHUNK, Trials
+from kedge.evaluation.study_scores import Tally, chunks_of, unpack
+from kedge.files.chunks import ChunkFolder, read_study, study_digest
+from kedge.files.filters import build_filter, split_names
+from kedge.files.scenarios import load_scenario
+
+FORMAT = 1
+"""Of the chunks' files."""
+
+
+class Options(NamedTuple):
+    """How a study is run; None is what the scenario says."""
+
+    out: Path | None = None
+    runs: int | None = None
+    filters: str | None = None
+    seed: int | None = None
+    changes: Sequence[str] | None = None
+    chunk: int = CHUNK
+    engine: str = "local"
+    scheduler: str | None = None
+    shard: str | None = None
+    resume: bool = False
+    force: bool = False
+
+
+def execute(name: str, options: Options) -> dict[str, Any]:
+    """Read a scenario, run the study, write its folder if one is asked for.
+
+    Of a shard only the chunks are written, and what is returned says which.
+
+    Raises:
+        KedgeError: the scenario cannot be used, a filter cannot run, or the folder cannot be
+            written.
+        Interrupted: by Ctrl-C; the chunks that were done are kept.
+    """
+    use_compilation_cache()
+    engine = chosen(options.engine, options.scheduler)
+    shard = None if options.shard is None else parse_shard(options.shard)
+    if options.out is None and (shard or options.resume or options.force):
+        raise ConfigError("--shard, --resume and --force need a folder: --out DIR")
+    job = _job(name, options)
+    chunks = range(chunks_of(job.runs, job.chunk))
+    mine = list(chunks) if shard is None else list(chunks)[shard[0] - 1 :: shard[1]]
+    with tempfile.TemporaryDirectory() as scratch, progress() as say:
+        kept = options.out is not None
+        place = options.out if options.out is not None else Path(scratch) / "study"
+        folder = ChunkFolder(place, _study(job, shard), options.resume, options.force)
+        done = set(folder.done())
+        left = [number for number in mine if number not in done]
+        if done:
+            say(f"{len(mine) - len(left)} of {len(mine)} chunks are there already")
+        try:
+            for count, (number, arrays) in enumerate(engine(job, left, say), 1):
+                folder.save(number, arrays)
+                say(f"{len(mine) - len(left) + count} of {len(mine)} chunks done")
+        except KeyboardInterrupt:
+            there = len(set(folder.done()) & set(mine)) if kept else 0
+            kept_text = f"{there} of {len(mine)} chunks are kept in {place}; --resume goes on"
+            raise Interrupted(kept_text if there else "nothing is kept") from None
+        if shard is not None:
+            return {
+                "command": "study",
+                "shard": list(shard),
+                "chunks": mine,
+                "of": len(chunks),
+                "digest": study_digest(folder.study),
+                "filters": {},
+            }
+        return finish(job, folder)
+
+
+def merge(sources: Sequence[Path], out: Path, resume: bool, force: bool) -> dict[str, Any]:
+    """Put the shards of a study together, and write what one whole study leaves.
+
+    Raises:
+        DataError: the folders hold different studies, or chunks are missing.
+    """
+    studies = {source: read_study(source) for source in sources}
+    first = next(iter(studies.values()))
+    for source, study in studies.items():
+        if study_digest(study) != study_digest(first):
+            keys = sorted(k for k in first if study.get(k) != first[k] and k != "shard")
+            raise DataError(
+                f"{source}: holds another study than {sources[0]} (other: {', '.join(keys)}), "
+                "expected shards of one study"
+            )
+    job = _job_of(first, sources[0])
+    folder = ChunkFolder(out, _study(job, None), resume, force)
+    shards = [ChunkFolder(source, study, resume=True) for source, study in studies.items()]
+    there = {number: shard for shard in shards for number in shard.done()}
+    whole = range(chunks_of(job.runs, job.chunk))
+    if missing := [number for number in whole if number not in there]:
+        raise DataError(
+            f"merge: found {len(whole) - len(missing)} of {len(whole)} chunks; missing: "
+            f"{', '.join(map(str, missing[:10]))}{' and more' * (len(missing) > 10)}; "
+            "finish the shards first (kedge study ... --shard i/n --resume)"
+        )
+    for number in whole:
+        folder.save(number, there[number].load(number))
+    return finish(job, folder)
+
+
+def finish(job: Job, folder: ChunkFolder) -> dict[str, Any]:
+    """Add up the chunks in their order, and write the results beside them."""
+    tally, setting = Tally(job.filters), job.setting()
+    for number in range(chunks_of(job.runs, job.chunk)):
+        tally.add(unpack(folder.load(number), job.filters))
+    results, study = tally.results(), job.study(setting)
+    summary = summary_of(setting, study, results, job.runs)
+    with tempfile.TemporaryDirectory(dir=folder.path, prefix=".results-") as draft:
+        write_study(Path(draft), summary, results)
+        folder.publish(Path(draft))
+    return summary
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """``i/n`` as numbers.
+
+    Raises:
+        ConfigError: it is no share.
+    """
+    parts = re.fullmatch(r"(\d+)/(\d+)", text)
+    index, count = map(int, parts.groups()) if parts else (0, 0)
+    if not 1 <= index <= count:
+        raise ConfigError(f"--shard: found {text!r}, expected i/n with i from 1 to n, e.g. 2/4")
+    return index, count
+
+
+def _job(name: str, options: Options) -> Job:
+    """What is to be computed, checked as far as that goes without computing it."""
+    setting = load_scenario(name, settings(options.changes))
+    about, spec = setting.config.scenario, options.filters
+    names = about.filters if spec is None else split_names(spec)
+    if len(set(names)) < len(names) or "" in names:
+        raise ConfigError(
+            f"--filters {spec!r}: found a name twice or none, expected each filter once"
+        )
+    job = Job(
+        configuration=setting.config.model_dump_json(exclude_none=True),
+        filters=tuple(names),
+        runs=about.runs if options.runs is None else options.runs,
+        seed=about.seed if options.seed is None else options.seed,
+        chunk=options.chunk,
+        origin=setting.config.origin,
+    )
+    Trials(job.study(setting), {n: build_filter(n) for n in names}, job.runs, job.chunk)
+    return job._replace(chunk=min(job.chunk, job.runs))
+
+
+def _study(job: Job, shard: tuple[int, int] | None) -> dict[str, Any]:
+    """The job for ``study.json``."""
+    found = job._asdict() | {"configuration": json.loads(job.configuration)}
+    return found | {"format": FORMAT, "shard": None if shard is None else list(shard)}
+
+
+def _job_of(study: dict[str, Any], source: Path) -> Job:
+    """Undo :func:`_study`.
+
+    Raises:
+        DataError: it is of another version of kedge.
+    """
+    if study.get("format") != FORMAT or not set(Job._fields) <= set(study):
+        raise DataError(f"{source}: was written by another version of kedge")
+    given: dict[str, Any] = {key: study[key] for key in Job._fields}
+    given["configuration"] = json.dumps(study["configuration"])
+    given["filters"] = tuple(study["filters"])
+    return Job(**given)

@@ -1,0 +1,153 @@
+"""What ``kedge study`` and ``kedge merge`` leave and print."""
+
+import csv
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kedge import __version__
+from kedge.evaluation.study import Study, plan_of
+from kedge.evaluation.study_claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band
+from kedge.evaluation.study_scores import Result
+from kedge.evaluation.study_summary import summarise_study, windows
+from kedge.files.results import digest, plain, write_summary, write_table
+from kedge.files.scenarios import Setting
+
+
+def write_study(
+    folder: Path, summary: Mapping[str, Any], results: Mapping[str, Result]
+) -> None:
+    """Summary, table and runs."""
+    write_summary(folder / "summary.json", summary)
+    write_table(folder / "table.csv", summary["filters"])
+    _write_runs(folder / "runs.csv", results)
+
+
+def summary_of(
+    setting: Setting, study: Study, results: Mapping[str, Result], runs: int
+) -> dict[str, Any]:
+    """What goes into ``summary.json``; the digest pins configuration and result."""
+    about = setting.config.scenario
+    filters = summarise_study(study, results)
+    for name in filters:
+        if name in setting.config.published:
+            entry = setting.config.published[name]
+            source = entry.source or about.source
+            filters[name]["published"] = {"rmse": entry.rmse, "source": source}
+    plan = plan_of(study)
+    spans = {name: [(a, b) for a, b in parts] for name, parts in setting.config.windows.items()}
+    for name, result in results.items():
+        if spans:
+            filters[name]["windows"] = windows(study, plan, result, spans)
+    configuration = setting.config.model_dump(mode="json", exclude_none=True)
+    scores = {name: [*result.runs, *result.whole] for name, result in results.items()}
+    parts = {"configuration": digest(configuration), "result": digest(scores)}
+    found = {
+        "command": "study",
+        "arguments": sys.argv[1:],
+        "version": __version__,
+        "versions": {name: version(name) for name in ("jax", "equinox", "numpy")},
+        "platform": f"Python {platform.python_version()}, {platform.machine()}",
+        "title": about.title,
+        "source": about.source,
+        "seed": study.seed,
+        "runs": runs,
+        "score": {"name": study.score, "of": next(iter(filters.values()))["score_of"]},
+        "filters": filters,
+        **_judged(setting, Evidence(study, results, filters)),
+        "configuration": configuration,
+        "digest": {**parts, "all": digest(parts)},
+    }
+    return plain(found)
+
+
+def _judged(setting: Setting, evidence: Evidence) -> dict[str, Any]:
+    """Expected figures and claims with their verdicts, and errata, where a scenario has any."""
+    config = setting.config
+    expected = []
+    for band in config.expected:
+        low, high = band.between
+        verdict, figures = judge_band(band.score, low, high, evidence)
+        expected.append(band.model_dump() | {"verdict": verdict, "figures": figures})
+    claims = []
+    for claim in config.claims:
+        verdict, figures = judge(claim.test, evidence)
+        claims.append(claim.model_dump() | {"verdict": verdict, "figures": figures})
+    found = {"expected": expected, "claims": claims, "errata": list(config.errata)}
+    return {key: value for key, value in found.items() if value}
+
+
+def print_study(summary: Mapping[str, Any]) -> None:
+    """The table of filters, the published score beside ours."""
+    from rich.console import Console
+    from rich.table import Table
+
+    score, rows = summary["score"], summary["filters"]
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("filter")
+    published = any(row.get("published") for row in rows.values())
+    failed = any(row["failed"] for row in rows.values())
+    dof = next(iter(rows.values()))["nees_dof"]
+    known = any(row["nees"] is not None for row in rows.values())
+    base, several = next(iter(rows.values()))["baseline"], len(rows) > 1
+    titles = [score["of"], "95 % interval"] + ["published"] * published
+    titles += [f"x {base}", "95 % interval"] * several
+    titles += [f"NEES ({dof} right)", "in 95 % bound"] * known
+    titles += ["failed runs"] * failed + ["s/run"]
+    for title in titles:
+        table.add_column(title, justify="right")
+    for name, row in rows.items():
+        cells = [_shown(row["score"]), _between(row["score_ci"])]
+        cells += [_shown((row.get("published") or {}).get("rmse"))] * published
+        ratio = [_shown(row["ratio_to_baseline"]), _between(row["ratio_to_baseline_ci"])]
+        cells += (["-", "-"] if name == base else ratio) * several
+        cells += [_shown(row["nees"]), _shown(row["coverage_95"], ".0%")] * known
+        cells += [str(row["failed"])] * failed + [_shown(row["seconds_per_run"], ".2g")]
+        table.add_row(name, *cells)
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    console.print(f"{summary['title']}: {summary['runs']} runs, seed {summary['seed']}")
+    console.print(table)
+    entries = [row["published"] for row in rows.values() if row.get("published")]
+    for source in sorted({entry["source"] for entry in entries}):
+        console.print(f"published: {source}", markup=False, soft_wrap=True)
+
+    def say(*lines: str) -> None:
+        for line in lines:
+            console.print(line, markup=False, soft_wrap=True)
+
+    for band in summary.get("expected", ()):
+        mark = {TRUE: "as expected", FALSE: "NOT as expected"}.get(band["verdict"], OPEN)
+        say(f"{mark}: {band['score']} {band['figures']}")
+    for claim in summary.get("claims", ()):
+        say("", f"claim: {claim['text']} ({claim['source']})")
+        say(f"  {claim['verdict']}: {claim['figures']}")
+        if claim["means"]:
+            say(f"  {claim['means']}")
+    if summary.get("errata"):
+        say("", "errata:", *(f"  {text}" for text in summary["errata"]))
+
+
+def _between(ends: Sequence[float | None]) -> str:
+    low, high = ends
+    return "-" if low is None or high is None else f"[{low:.3g}, {high:.3g}]"
+
+
+def _shown(value: float | None, form: str = ".3g") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _write_runs(path: Path, results: Mapping[str, Result]) -> None:
+    """One row a run and filter, for statistics of one's own."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["filter", "run", "time_mean_rms", "mean_squared_error", "nees"])
+        for name, result in results.items():
+            squared = np.asarray(result.runs.squared).sum(axis=1)
+            columns = (result.runs.time_mean_rms, squared, result.runs.nees)
+            for run, row in enumerate(np.stack(columns, axis=1).tolist()):
+                writer.writerow([name, run, *row])

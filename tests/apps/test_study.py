@@ -1,0 +1,113 @@
+"""``kedge study``: what it prints and leaves, and what it refuses."""
+
+import csv
+import json
+
+import pytest
+
+SCENARIO = """
+[scenario]
+title = "a buoy"
+source = "these tests"
+duration = 4.0
+dt = 0.5
+burn_in = 1.0
+runs = 3
+filters = ["kalman", "dead-reckoning"]
+
+[vehicle]
+model = "constant-velocity"
+
+[sensors.gnss]
+model = "gnss"
+
+[prior]
+std = { position = 1.0, velocity = 0.3 }
+
+[published]
+kalman = { rmse = 0.5, source = "nowhere" }
+
+[windows]
+late = [[2.0, 3.0]]
+
+[[expected]]
+score = "kalman.rmse.position"
+between = [0.0, 9.0]
+
+[[claims]]
+text = "readings make it worse"
+source = "a letter"
+test = "kalman.score > dead-reckoning.score"
+means = "they do not"
+"""
+
+
+@pytest.fixture
+def buoy(tmp_path):
+    path = tmp_path / "buoy.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def test_it_prints_scores_beside_what_was_published(buoy, kedge, tmp_path):
+    out = tmp_path / "out"
+    code, printed, err = kedge("study", buoy, "--out", out)
+    assert code == 0, err
+    table = printed.splitlines()
+    assert table[0] == "a buoy: 3 runs, seed 0"
+    assert "published" in table[1]
+    assert table[2].startswith("kalman")
+    assert " 0.5 " in table[2]
+    assert "published: nowhere" in printed
+    assert "as expected: kalman.rmse.position" in printed
+    assert "claim: readings make it worse (a letter)" in printed
+    assert "  false: kalman / dead-reckoning: score ratio" in printed
+    assert "kalman: compiling" in err
+
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["runs"] == 3
+    found = summary["filters"]["kalman"]
+    assert found["score"] == found["rmse"]["position"] < 1
+    assert list(found["windows"]) == ["late", "else"]
+    assert summary["claims"][0]["verdict"] == "false"
+    assert found["published"] == {"rmse": 0.5, "source": "nowhere"}
+    assert found["score"] < summary["filters"]["dead-reckoning"]["score"]
+    with (out / "runs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["run"] for row in rows] == ["0", "1", "2"] * 2
+
+    code, printed, err = kedge(
+        "study", buoy, "--json", "--filters", "kalman", "--set", "scenario.runs=2",
+        "--require", "kalman.score<=1e-9",
+    )  # fmt: skip
+    again = json.loads(printed)
+    assert code == 3, err
+    assert again["runs"] == 2
+    assert list(again["filters"]) == ["kalman"]
+    assert again["digest"] != summary["digest"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--runs", "0"], "runs: found 0, expected 1 or more"),
+        (["--filters", "kalmn"], "no filters called 'kalmn' (did you mean 'kalman'"),
+        (["--filters", "kalman,kalman"], "found a name twice"),
+        (["--filters", ""], "found a name twice or none"),
+        (["--filters", "ensemble:count=1"], "count is 1"),
+        (["--seed", "-1"], "seed: found -1"),
+        (["--set", "scenario.score=best"], "scenario.score: found 'best'"),
+        (["--set", "scenario.duration"], "expected KEY=VALUE"),
+        (["--set", "claims=[{text='a',source='b',test='c'}]"], "claims"),
+        (["--set", "vehicle.model=unicycle"], "no field of the state called 'velocity'"),
+        (["--set", "vehicle.model=unicycle", "--set", "prior.std={position=1.0,heading=0.1}"],
+         "needs a linear model"),
+    ],
+)  # fmt: skip
+def test_bad_input(buoy, kedge, tmp_path, options, message):
+    out = tmp_path / "out"
+    code, printed, err = kedge("study", buoy, "--out", out, *options)
+    said = [line for line in err.splitlines() if not line.startswith("[")]
+    assert (code, printed) == (2, "")
+    assert message in said[0]
+    assert not out.exists()
