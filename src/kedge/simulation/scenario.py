@@ -1,27 +1,73 @@
-"""Scenarios: a rig on its default drive, for so long, in such steps."""
+"""Scenarios: a rig in a world, for so long, in such steps."""
+
+import abc
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Key, PRNGKeyArray
 
 from kedge.core.errors import ContractError
 from kedge.estimation.rig import Installation, Rig
 
 
-class Scenario(eqx.Module):
-    """A rig driven by its vehicle's own ``drive``; sensors fire at their rates.
+class History(NamedTuple):
+    """What really happened, and what was told of it."""
 
-    A sensor over a map sees its targets in turn, one each time it fires.
+    path: Any
+    """The true state at the end of every step, with the fields that the sensors read; leading
+    axis K."""
+    controls: Any
+    """What filters are told of the control of every step; leading axis K."""
+    start: Any
+    """The true state at time 0."""
+
+
+class AbstractWorld(eqx.Module):
+    """What really moves, where a scenario's truth is not the rig's own vehicle.
+
+    The true vehicle may be another one than the filters', be guided along a route, slip, and
+    be told of by encoders that miss counts. Its state needs the fields of the rig's state that
+    are estimated and scored, and those that sensors read.
+    """
+
+    @abc.abstractmethod
+    def unfold(
+        self, scenario: "Scenario", key: PRNGKeyArray, sensing: tuple[Key[Array, " _"], ...]
+    ) -> History:
+        """One run, traced; ``sensing`` are the keys of all readings, by sensor.
+
+        A world whose guidance hears its sensors draws their noise from these keys by
+        :func:`kedge.simulation.sensing.sensed`, and so hears what filters will.
+        """
+
+
+class Scenario(eqx.Module):
+    """A rig driven by its vehicle's own ``drive``, or in a world; sensors fire at their rates.
+
+    A sensor over a map sees its targets in turn, one each time it fires. Without a world the
+    truth is drawn from the rig's prior ``spin_up`` seconds before time 0 and moves until then,
+    so that it begins on the attractor of a system that has one.
     """
 
     rig: Rig
     duration: float = eqx.field(static=True, default=60.0)  # s
     dt: float = eqx.field(static=True, default=0.1)  # s, the step of the truth
+    spin_up: float = eqx.field(static=True, default=0.0)  # s
+    world: AbstractWorld | None = None
 
     def __check_init__(self):
         if not (self.dt > 0 and self.duration >= self.dt):
             raise ContractError(
                 f"scenario: duration {self.duration:g} s and dt {self.dt:g} s; expected "
                 "0 < dt <= duration"
+            )
+        if not 0 <= self.spin_up < np.inf:
+            raise ContractError(f"scenario: spin_up is {self.spin_up:g} s, expected 0 or more")
+        if self.world is not None and self.spin_up:
+            raise ContractError(
+                f"scenario: spin_up is {self.spin_up:g} s, expected 0: a world of its own "
+                "begins at time 0"
             )
 
     @property

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
+from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.estimation.log import (
     SECOND,
@@ -20,10 +21,11 @@ from kedge.estimation.log import (
     Truth,
     assemble,
 )
-from kedge.estimation.rig import Installation, as_arrays
+from kedge.estimation.rig import Rig, as_arrays
 from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
-from kedge.simulation.scenario import Scenario
+from kedge.simulation.scenario import History, Scenario
+from kedge.simulation.sensing import all_sensed
 
 
 class Simulation(NamedTuple):
@@ -34,10 +36,12 @@ class Simulation(NamedTuple):
     controls: Any
     """The control held during every step; leading axis K."""
     readings: tuple[Readings, ...]
+    start: Any
+    """The state at time 0."""
 
 
 def simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
-    """Draw a true initial state from the prior, drive it, and sense it."""
+    """Draw a true initial state, drive it or let its world do so, and sense it."""
     return _simulate(as_arrays(scenario), key)
 
 
@@ -79,41 +83,62 @@ def with_readings(log: Log, scenario: Scenario, run: Simulation) -> Log:
 
 @eqx.filter_jit
 def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
+    rig = scenario.rig
+    start_key, drive_key, sense_key = jr.split(key, 3)
+    keys = jr.split(sense_key, max(len(rig.sensors), 1))
+    ticks = [scenario.ticks(sensor) for sensor in rig.sensors]
+    sensing = tuple(jr.split(k, len(t)) for k, t in zip(keys, ticks, strict=False))
+    if scenario.world is None:
+        history = _own(scenario, start_key, drive_key)
+    else:
+        history = scenario.world.unfold(scenario, drive_key, sensing)
+    readings = tuple(
+        all_sensed(sensor, fired, keys, history.path)
+        for sensor, fired, keys in zip(rig.sensors, ticks, sensing, strict=True)
+    )
+    path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
+    return Simulation(path, history.controls, readings, start)
+
+
+def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -> History:
+    """The rig's own vehicle, from its prior, on its own drive."""
     vehicle, prior = scenario.rig.vehicle, scenario.rig.prior
     states, noises = space(prior.mean), space(vehicle.noise_density())
-    start_key, drive_key, sense_key = jr.split(key, 3)
+    before = round(scenario.spin_up / scenario.dt)
+    start_key, spin_key = jr.split(start_key) if before else (start_key, start_key)
     white = jr.normal(start_key, (states.size,))
     first = states.boxplus(prior.mean, square_root(prior.cov) @ white)
 
-    times = jnp.arange(scenario.steps) * scenario.dt
-    controls = jax.vmap(vehicle.drive)(times)
-    shocks = jr.normal(drive_key, (scenario.steps, noises.size))
-    shocks = shocks * process_std(vehicle, scenario.dt)[None]
+    def drive(state: Any, begin: int, end: int, key: PRNGKeyArray) -> tuple[Any, Any, Any]:
+        """The state at the end of every step from ``begin`` to ``end``, and the controls."""
+        controls = jax.vmap(vehicle.drive)(jnp.arange(begin, end) * scenario.dt)
+        shocks = jr.normal(key, (end - begin, noises.size))
+        shocks = shocks * process_std(vehicle, scenario.dt)[None]
 
-    def body(state, inputs):
-        control, noise = inputs
-        state = vehicle.step(state, control, noises.unflatten(noise), scenario.dt)
-        return state, state
+        def body(state, inputs):
+            control, noise = inputs
+            state = vehicle.step(state, control, noises.unflatten(noise), scenario.dt)
+            return state, state
 
-    _, path = lax.scan(body, first, (controls, shocks))
-    keys = jr.split(sense_key, max(len(scenario.rig.sensors), 1))
-    readings = tuple(
-        _sense(sensor, scenario.ticks(sensor), key, path)
-        for sensor, key in zip(scenario.rig.sensors, keys, strict=False)
-    )
-    return Simulation(path, controls, readings)
+        last, path = lax.scan(body, state, (controls, shocks))
+        return last, path, controls
+
+    if before:
+        first, _, _ = drive(first, -before, 0, spin_key)
+    _, path, controls = drive(first, 0, scenario.steps, drive_key)
+    return History(path, controls, first)
 
 
-def _sense(
-    installation: Installation, ticks: Int[np.ndarray, " n"], key: PRNGKeyArray, path: Any
-) -> Readings:
-    seen = jax.tree.map(lambda leaf: leaf[ticks - 1], path)
-    targets = jnp.arange(len(ticks)) % (installation.targets or 1)
+def _as_estimated(rig: Rig, truth: Any) -> Any:
+    """The true state with the fields of the rig's, for scores; what it has beyond is dropped.
 
-    def one(state: Any, target: Int[Array, ""], key: PRNGKeyArray) -> Any:
-        expected = installation.expect(state, target)
-        outputs = space(expected)
-        root = square_root(installation.noise_cov(state, target))
-        return outputs.boxplus(expected, root @ jr.normal(key, (outputs.size,)))
-
-    return Readings(jax.vmap(one)(seen, targets, jr.split(key, len(ticks))), targets)
+    Raises:
+        ContractError: the world's truth lacks a field that the rig estimates.
+    """
+    cls = type(rig.prior.mean)
+    if lacking := [field for field in cls._fields if not hasattr(truth, field)]:
+        raise ContractError(
+            f"scenario: the rig estimates {lacking}, of which its world knows nothing; the "
+            f"truth has {list(type(truth)._fields)}"
+        )
+    return cls(*(getattr(truth, field) for field in cls._fields))
