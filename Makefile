@@ -38,7 +38,8 @@ test: .venv/.dev ## the fast tests: ARGS='tests/filters -k extended'
 
 .PHONY: slow
 slow: .venv/.dev ## the slow tests, and those on recorded data (KEDGE_DATA)
-	$(PYTEST) -m 'slow or data' $(ARGS)
+	$(PYTEST) -m 'slow and not data' $(ARGS)
+	XLA_FLAGS= $(PYTEST) -m data $(ARGS)
 
 .PHONY: lint
 lint: .venv/.dev ## format, lint, types, layers
@@ -51,9 +52,8 @@ lint: .venv/.dev ## format, lint, types, layers
 check: lint test ## all that a change must pass: lint, then the fast tests
 
 .PHONY: bench
-bench: .venv/.dev ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
-	@mkdir -p $(dir $(BENCH))
-	$(BIN)/pytest benchmarks --jaxtyping-packages= --benchmark-only --benchmark-json=$(BENCH) $(ARGS)
+bench: .venv/.dev .venv/.rivals ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
+	BENCH=$(BENCH) $(BIN)/pytest benchmarks --jaxtyping-packages= $(ARGS)
 
 .PHONY: format
 format: .venv/.dev ## rewrite the sources in the project's format
@@ -111,3 +111,7 @@ endef
 .venv/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(call install,$(EXTRAS))
 	@touch $@ .venv/.studio
+
+.venv/.rivals: pyproject.toml constraints.txt | .venv/.dev
+	$(call install,rivals)
+	@touch $@

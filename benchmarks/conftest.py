@@ -51,7 +51,7 @@ def times():
 
 
 def pytest_terminal_summary(terminalreporter):
-    if not COLLECTED.rows:
+    if not (COLLECTED.rows or COLLECTED.notes):
         return
     write = terminalreporter.write_line
     write(f"{'':28s} {'rival':>10s} {'us/event':>10s} {'kedge':>10s} {'ratio':>8s} {'aim':>6s}")

@@ -12,6 +12,15 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / "build" / "jax-cache")
 )
+# Most of a test's time would go into compiling. These options cut it to a quarter; the tests on
+# recorded data run with XLA_FLAGS empty, so they test what XLA optimises as for users. A name
+# that XLA does not know ends the process: versions after the pinned one go without.
+if jax.__version_info__ < (0, 11):
+    os.environ.setdefault(
+        "XLA_FLAGS",
+        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 "
+        "--xla_llvm_disable_expensive_passes=true",
+    )
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -29,6 +38,22 @@ settings.register_profile(
 settings.load_profile("kedge")
 
 
+# Filters that take long to compile and share their code with one that does not: what runs over
+# the whole registry is a slow test for them. A filter that is new is not among them.
+DEAR = {
+    "adaptive",
+    "auxiliary",
+    "denkf",
+    "enkf-n",
+    "fuzzy-noise",
+    "gauss-hermite",
+    "guided",
+    "interacting",
+    "posterior-linearisation",
+    "serial-enkf",
+}
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]):
     for item in items:
@@ -36,6 +61,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]):
             parameters = item.callspec.params if hasattr(item, "callspec") else {}
             if "data" in item.fixturenames and "data" not in parameters:
                 item.add_marker("data")
+            if parameters.get("name") in DEAR and {"contracts", "laws"} & set(item.path.parts):
+                item.add_marker("slow")
         if item.get_closest_marker("gpu") and jax.default_backend() != "gpu":
             item.add_marker(pytest.mark.skip(reason="JAX finds no GPU"))
 
