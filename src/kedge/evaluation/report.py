@@ -1,7 +1,7 @@
 """The report: one page that reads without a network, with its figures beside it."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,9 +10,8 @@ from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation import diagnostics, figures, findings, style, tables
 from kedge.evaluation.drawing import LONG_GAP
+from kedge.evaluation.page import Front, Plate, require_studio, write_page
 from kedge.evaluation.score import Run
-
-TEMPLATES = Path(__file__).parent / "templates"
 
 
 class ReportContent(NamedTuple):
@@ -33,18 +32,8 @@ class ReportContent(NamedTuple):
     """What the reader of the files had to say."""
 
 
-class Plate(NamedTuple):
-    """A figure of the report with its caption."""
-
-    name: str
-    section: str
-    caption: str
-    figure: Any
-    folded: bool = False
-
-
 def write_report(folder: Path, content: ReportContent) -> Path:
-    """Write ``report.html`` and ``figures/*.svg`` and ``*.png``; return the page's path.
+    """Write ``report.html`` and its figures; return the page's path.
 
     The same content gives the same bytes.
 
@@ -54,40 +43,29 @@ def write_report(folder: Path, content: ReportContent) -> Path:
     """
     if not content.runs:
         raise DataError("a report needs a run, found none")
-    style.studio("matplotlib")  # before anything is written
-    jinja2, markup = style.studio("jinja2"), style.studio("markupsafe").Markup
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    drawn: dict[str, list[dict[str, Any]]] = {}
-    for plate in plates(content):
-        svg = style.svg_of(plate.figure)
-        (folder / "figures" / f"{plate.name}.svg").write_text(svg, encoding="utf-8")
-        style.save_png(plate.figure, folder / "figures" / f"{plate.name}.png")
-        picture = markup(style.inlined(svg, plate.name))
-        drawn.setdefault(plate.section, []).append({**plate._asdict(), "svg": picture})
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    require_studio()
     runs, recording, rig = content.runs, content.recording, content.rig
-    page = environment.get_template("report.html.j2").render(
-        content=content,
-        palette=style.PALETTE,
+    front = Front(
+        kicker="kedge · estimation report",
+        title=content.title,
         headline=findings.headline(runs, recording),
         strip=findings.facts(runs, recording),
         warnings=findings.warnings(runs, recording, rig),
+    )
+    return write_page(
+        folder,
+        "report.html.j2",
+        front,
+        plates(content),
+        content=content,
         principal=findings.principal(runs).name,
-        figures=drawn,
         filters=tables.filter_table(runs, recording),
         sensors=tables.sensor_table(findings.principal(runs), rig),
         verdicts=tables.verdict_table(runs, rig),
-        roles={name: look.role for name, look in style.looks([r.name for r in runs]).items()},
+        looks=style.looks([run.name for run in runs]),
+        facts=content.facts,
+        configuration=content.configuration,
     )
-    path = folder / "report.html"
-    path.write_text(page, encoding="utf-8")
-    return path
 
 
 def plates(content: ReportContent) -> list[Plate]:

@@ -115,6 +115,7 @@ class Look(NamedTuple):
     role: str
     dash: Any
     width: float
+    alpha: float = 1.0
 
     @property
     def color(self) -> str:

@@ -120,7 +120,9 @@ def _rmse(runs: Sequence[Run], field: str, factor: float, unit: str) -> Column:
         ends = [factor * end for end in run.scores["rmse_ci"][field]]
         values.append(value)
         cells.append(Cell(*style.measured(value, ends)))
-    return Column(style.words(field), f"{unit} rms", _marked(runs, cells, values))
+    return Column(
+        style.words(field), f"{unit} rms", marked([run.name for run in runs], cells, values)
+    )
 
 
 def _plain(
@@ -138,17 +140,18 @@ def _plain(
         except KeyError:  # a score that this log has no use for
             values.append(None)
     distances = [None if v is None else abs(v - ideal) for v in values]
-    return Column(name, unit, _marked(runs, [Cell(text(v)) for v in values], distances))
+    names, cells = [run.name for run in runs], [Cell(text(v)) for v in values]
+    return Column(name, unit, marked(names, cells, distances))
 
 
-def _marked(
-    runs: Sequence[Run], cells: list[Cell], distances: Sequence[float | None]
+def marked(
+    names: Sequence[str], cells: list[Cell], distances: Sequence[float | None]
 ) -> list[Cell]:
     """Mark the best of the filters, if there are several; the baseline is no rival."""
     rivals = [
         (d, i)
-        for i, (run, d) in enumerate(zip(runs, distances, strict=True))
-        if d is not None and np.isfinite(d) and not style.is_baseline(run.name)
+        for i, (name, d) in enumerate(zip(names, distances, strict=True))
+        if d is not None and np.isfinite(d) and not style.is_baseline(name)
     ]
     if len({cells[i].text for _, i in rivals}) > 1:
         shown = cells[min(rivals)[1]].text
