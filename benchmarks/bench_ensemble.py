@@ -53,7 +53,10 @@ def dapper():
     if not (folder / "done").exists():
         try:
             subprocess.run([sys.executable, "-m", "venv", folder], check=True)
-            subprocess.run([python, "-m", "pip", "install", "-q", DAPPER], check=True)
+            # kedge's pins, which make hands on, are not DAPPER's.
+            bare = {k: v for k, v in os.environ.items() if not k.startswith("PIP_")}
+            install = [python, "-m", "pip", "install", "-q", DAPPER]
+            subprocess.run(install, check=True, env=bare)
         except subprocess.CalledProcessError as error:
             pytest.skip(f"{DAPPER} cannot be installed: {error}")
         (folder / "done").touch()

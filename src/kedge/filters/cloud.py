@@ -30,6 +30,7 @@ from kedge.numerics.innovation import innovation
 from kedge.numerics.kernels import bandwidth, shrunk, smeared
 from kedge.numerics.linalg import cholesky, square_root, symmetric
 from kedge.numerics.noise import draws, process_std
+from kedge.numerics.random import normals
 from kedge.numerics.resampling import SCHEMES, effective_sample_size, normalised
 
 STARTS: list[str] = ["prior", "reading"]
@@ -113,7 +114,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Particles:
         """Draw from the prior."""
         states = space(prior.mean)
-        white = jr.normal(key, (self.count, states.size), prior.cov.dtype)
+        white = normals(key, (self.count, states.size), prior.cov.dtype)
         errors = white @ square_root(prior.cov).T
         cloud = jax.vmap(states.boxplus, (None, 0))(prior.mean, errors)
         waiting = jnp.asarray(True) if self.start == "reading" else None

@@ -2,13 +2,13 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from kedge.core.registry import filters
 from kedge.filters.ensembles import AbstractEnsembleFilter
 from kedge.numerics.ensemble import Evidence, Whitened, regression
+from kedge.numerics.random import normals
 
 
 @filters.add("ensemble")
@@ -17,8 +17,8 @@ class EnsembleKalman(AbstractEnsembleFilter):
 
     $x_i^+ = x_i + K (z + v_i - h(x_i))$ with $v_i \sim N(0, R)$ and the gain from sample
     covariances and the exact R. With ``centred`` the perturbations have mean zero, so that
-    the ensemble's mean is moved by the measurement alone, and are stretched by
-    $\sqrt{N / (N - 1)}$ to keep their covariance. With a ``radius`` sample correlations are
+    the ensemble's mean is moved by the measurement alone; their sample covariance has the
+    expectation R as it is, so they are not stretched. With a ``radius`` sample correlations are
     tapered.
 
     Source: G. Burgers, P. van Leeuwen, G. Evensen, "Analysis scheme in the ensemble Kalman
@@ -37,10 +37,9 @@ class EnsembleKalman(AbstractEnsembleFilter):
         """Regress every member's own residual."""
         solved = regression(white, distances, self.radius)
         normal = (self.count - 1) ** 0.5
-        noise = jr.normal(key, white.spread.shape, white.spread.dtype) / normal
+        noise = normals(key, white.spread.shape, white.spread.dtype) / normal
         if self.centred:
-            centre = jnp.mean(noise, axis=0)[None]
-            noise = (noise - centre) * (self.count / (self.count - 1)) ** 0.5
+            noise = noise - jnp.mean(noise, axis=0)[None]
         rows = jnp.concatenate([white.residual[None], noise - white.spread])
         moves = solved.regress(rows, anomalies)
         moved = anomalies + moves[1:]

@@ -28,6 +28,7 @@ from kedge.core.quantities import Scalar
 from kedge.core.registry import filters, unknown
 from kedge.numerics.ensemble import Evidence, Whitened, rotation, scored, whiten
 from kedge.numerics.noise import correlated, draws, process_std
+from kedge.numerics.random import normals
 from kedge.numerics.spread import with_noise
 
 NOISES = ("sampled", "deterministic")
@@ -91,7 +92,7 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Ensemble:
         """Draw the members from the prior."""
         states = space(prior.mean)
-        white = jr.normal(key, (self.count, states.size), prior.cov.dtype)
+        white = normals(key, (self.count, states.size), prior.cov.dtype)
         errors = correlated(white, prior.cov)
         return Ensemble(jax.vmap(states.boxplus, (None, 0))(prior.mean, errors))
 

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -21,6 +20,7 @@ from kedge.numerics.linalg import cholesky, solve_lower, solve_lower_transposed,
 from kedge.numerics.linearity import require_differentiable
 from kedge.numerics.propagation import AbstractPropagation, SigmaPoints, Taylor
 from kedge.numerics.quadrature import unscented
+from kedge.numerics.random import normals
 
 PROPOSALS: dict[str, AbstractPropagation] = {
     "extended": Taylor(),
@@ -132,7 +132,7 @@ class GuidedParticle(AbstractParticleFilter):
             return solve_lower_transposed(precise, solve_lower(precise, B.T @ scaled)), precise
 
         def redraw() -> tuple[Any, Float[Array, " N"]]:
-            white = jr.normal(key, (self.count, *std.shape), std.dtype)
+            white = normals(key, (self.count, *std.shape), std.dtype)
             states, log_ratio = jax.vmap(propose)(last.before, white)
             seen = look(model, states, measurement).log_likelihood
             return states, belief.log_weights + seen + log_ratio

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -24,6 +23,7 @@ from kedge.numerics.linalg import (
     symmetric,
 )
 from kedge.numerics.localisation import between, gaspari_cohn
+from kedge.numerics.random import normals
 
 LOOPED = 128
 """Up to here a triangle is inverted by a loop of kedge's own."""
@@ -206,6 +206,6 @@ def rotation(key: PRNGKeyArray, count: int, dtype: Any) -> Float[Array, "N N"]:
     normal[0] += 1.0
     reflection = np.eye(count) - 2 * np.outer(normal, normal) / (normal @ normal)
     basis = jnp.asarray(reflection[:, 1:], dtype)
-    q, r = jnp.linalg.qr(jr.normal(key, (count - 1, count - 1), dtype))
+    q, r = jnp.linalg.qr(normals(key, (count - 1, count - 1), dtype))
     turned = q * jnp.where(jnp.diag(r) < 0, -1.0, 1.0)[None]
     return jnp.full((count, count), 1 / count, dtype) + basis @ turned @ basis.T

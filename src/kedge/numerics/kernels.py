@@ -4,13 +4,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.numerics.linalg import square_root
+from kedge.numerics.random import normals
 
 
 def bandwidth(size: int, count: int) -> float:
@@ -33,7 +33,7 @@ def smeared(key: PRNGKeyArray, states: Any, cloud: Gaussian, width: Scalar) -> A
     """
     manifold = space(states)
     count = jax.tree.leaves(states)[0].shape[0]
-    white = jr.normal(key, (count, manifold.size), cloud.cov.dtype)
+    white = normals(key, (count, manifold.size), cloud.cov.dtype)
     return jax.vmap(manifold.boxplus)(states, width * white @ square_root(cloud.cov).T)
 
 

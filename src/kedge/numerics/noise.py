@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import jax.numpy as jnp
-import jax.random as jr
 from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -11,6 +10,7 @@ from kedge.core.contracts import AbstractVehicle
 from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.numerics.linalg import UNROLLED_COLUMNS, square_root
+from kedge.numerics.random import normals
 
 
 def process_std(vehicle: AbstractVehicle, dt: Scalar) -> Float[Array, " w"]:
@@ -27,7 +27,7 @@ def draws(key: PRNGKeyArray, count: int, std: Float[Array, " w"]) -> Float[Array
     """
 
     def sample() -> Float[Array, "N w"]:
-        return jr.normal(key, (count, *std.shape), std.dtype) * std[None]
+        return normals(key, (count, *std.shape), std.dtype) * std[None]
 
     silent = jnp.zeros((count, *std.shape), std.dtype)
     return lax.cond(jnp.any(std != 0), sample, lambda: silent)
