@@ -187,7 +187,8 @@ def test_ratios_are_paired(pooled, results):
 def _runs(squared):
     rows = len(squared)
     once = np.ones(rows)
-    return RunScores(once, squared, once, once, np.ones((rows, 1)), np.ones((rows, 1)))
+    ones, none = np.ones((rows, 1)), np.zeros((rows, 0))
+    return RunScores(once, squared, once, once, ones, ones, none)
 
 
 def test_a_start_near_the_truth_is_as_far_off_as_the_prior_says():
@@ -210,6 +211,7 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
         coverage=np.array([1.0, 0.5, 0.0]),
         nis=np.array([[1.0], [np.nan], [np.nan]]),
         nis_dof=np.array([[2.0], [np.nan], [np.nan]]),
+        tracked=np.zeros((3, 0)),
     )
     result = Result(runs, runs, results["kalman"].sums, seconds=6.0)
     found = summarise(pooled, result)

@@ -28,7 +28,8 @@ def evidence():
     sums = TimeSums(*(np.zeros(1) for _ in TimeSums._fields))
 
     def result(squared, seconds):
-        runs = RunScores(once, np.repeat(squared[:, None], 4, 1), 4 * noise, once, none, none)
+        squared = np.repeat(squared[:, None], 4, 1)
+        runs = RunScores(once, squared, 4 * noise, once, none, none, none)
         return Result(runs, runs, sums, seconds)
 
     results = {

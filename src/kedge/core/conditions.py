@@ -25,6 +25,7 @@ HEADS = (
     "seconds",
     "seconds_per_run",
     "time_mean_rms",
+    "tracking",
     "windows",
 )
 """How the name of a score may begin; a filter's own name may have dots in it."""

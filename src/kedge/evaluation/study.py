@@ -207,6 +207,7 @@ def plan_of(study: Study) -> Plan:
         sensor=sensor[sensed],
         sensed_settled=stamps[sensed] > burn_in,
         sensed_time=stamps[sensed] / SECOND,
+        steps_settled=np.arange(1, scenario.steps + 1) * scenario.dt > study.burn_in + 1e-9,
     )
 
 

@@ -18,7 +18,7 @@ from kedge.estimation.log import Log
 from kedge.evaluation.consistency import chi_square_bound
 from kedge.evaluation.study_scores import RunScores, TimeSums
 from kedge.numerics.linalg import UNROLLED, cholesky, solve_lower
-from kedge.simulation.scenario import Scenario
+from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import Simulation, with_readings
 
 
@@ -38,6 +38,8 @@ class Plan(NamedTuple):
     sensor: Int[np.ndarray, " E"]
     sensed_settled: Bool[np.ndarray, " E"]
     sensed_time: Float[np.ndarray, " E"]  # s
+    steps_settled: Bool[np.ndarray, " S"]
+    """Of all steps."""
 
 
 def _measure(
@@ -70,10 +72,12 @@ def _measure(
         if states.size <= UNROLLED:
             roots = jax.vmap(cholesky)(moments.cov[plan.events])
             nees = jnp.sum(jax.vmap(solve_lower)(roots, error) ** 2, axis=1)
-        judged = _Judged(error**2, nees, *_innovations(scenario, plan, found))
-        late = _scores(states, plan, judged, plan.settled, plan.sensed_settled, sensors)
-        everything = jnp.ones_like(plan.settled), jnp.ones_like(plan.sensed_settled)
-        whole = _scores(states, plan, judged, *everything, sensors)
+        tracked = _tracked(scenario, true)
+        nis, dof, fused = _innovations(scenario, plan, found)
+        judged = _Judged(error**2, nees, nis, dof, fused, tracked)
+        settled = plan.settled, plan.sensed_settled, plan.steps_settled
+        late = _scores(states, plan, judged, sensors, *settled)
+        whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
         return late, whole, judged, believed
 
     late, whole, judged, believed = jax.vmap(one)(index, truth, means)
@@ -104,6 +108,7 @@ class _Judged(NamedTuple):
     nis: Float[Array, "*E"]
     dof: Float[Array, "*E"]
     fused: Bool[Array, "*E"]
+    tracked: Float[Array, "*S w"]
 
 
 def _innovations(
@@ -118,13 +123,22 @@ def _innovations(
     return outcome.nis[plan.sensed], dof, fused
 
 
+def _tracked(scenario: Scenario, true: Simulation) -> Float[Array, "S w"]:
+    """Squares of what the world watches; nothing without a world."""
+    if scenario.world is None:
+        return jnp.zeros((scenario.steps, 0))
+    history = History(true.truth, true.controls, true.start)
+    return scenario.world.watch(scenario, history) ** 2
+
+
 def _scores(
     states: Space,
     plan: Plan,
     judged: _Judged,
+    sensors: int,
     when: Bool[Array | np.ndarray, " K"],
     sensed: Bool[Array | np.ndarray, " E"],
-    sensors: int,
+    stepped: Bool[Array | np.ndarray, " S"],
 ) -> RunScores:
     """Means over some of the times of one run."""
     share = jnp.where(when, 1.0, 0.0) / jnp.sum(jnp.where(when, 1.0, 0.0))
@@ -150,6 +164,7 @@ def _scores(
         coverage=mean(inside) if known else jnp.asarray(jnp.nan),
         nis=jnp.stack(nis) if nis else jnp.zeros(0),
         nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
+        tracked=jnp.mean(judged.tracked, axis=0, where=stepped[:, None]),
     )
 
 

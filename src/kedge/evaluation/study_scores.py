@@ -29,6 +29,8 @@ class RunScores(NamedTuple):
     """Mean NIS of what was fused; NaN for measurements of more than 8 components."""
     nis_dof: Float[Values, "*runs sensors"]
     """Their mean degrees of freedom; NaN where nothing was fused."""
+    tracked: Float[Values, "*runs watches"]
+    """Mean squares of what the scenario's world watches, by step."""
 
 
 class TimeSums(NamedTuple):

@@ -69,6 +69,7 @@ def baseline(names: Sequence[str]) -> str:
 def summarise(study: Study, result: Result) -> dict[str, Any]:
     """The scores of one filter: each with its 95 % interval over runs.
 
+    ``tracking`` has the root mean squares of what the scenario's world watches.
     ``all_steps`` has them without a burn-in. Runs that came out not finite are left out and
     counted as ``failed``.
     """
@@ -117,6 +118,9 @@ def compare(
     for name, cut in cuts.items():
         pair = (np.asarray(s.squared)[good][:, cut].sum(axis=1) for s in (left, right))
         columns[name] = (*pair, 0.5)
+    for number, name in enumerate(_watches(study)):
+        pair = (np.asarray(s.tracked)[good][:, number] for s in (left, right))
+        columns[f"tracking.{name}"] = (*pair, 0.5)
     pair = (np.asarray(s.time_mean_rms)[good] for s in (left, right))
     columns["time-mean-rms"] = (*pair, 1.0)
     count = int(good.sum())
@@ -231,13 +235,13 @@ def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
 
 def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]:
     """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
-    rmse, ends = {}, {}
-    for name, cut in _parts(_states(study)).items():
-        squared = interval(np.asarray(scores.squared)[good][:, cut].sum(axis=1))
-        rmse[name] = float(np.sqrt(squared.mean))
-        ends[name] = [float(np.sqrt(max(end, 0.0))) for end in squared[1:]]
+    squared, tracked = (np.asarray(s)[good] for s in (scores.squared, scores.tracked))
+    found: dict[str, Any] = _roots(
+        "rmse", {n: squared[:, cut].sum(axis=1) for n, cut in _parts(_states(study)).items()}
+    )
+    if names := _watches(study):
+        found |= _roots("tracking", {name: tracked[:, i] for i, name in enumerate(names)})
     nees = interval(np.asarray(scores.nees)[good])
-    found: dict[str, Any] = {"rmse": rmse, "rmse_ci": ends}
     found |= {"nees": nees.mean, "nees_ci": list(nees[1:])}
     by_sensor: dict[str, dict[str, Any]] = {"nis": {}, "nis_ci": {}, "nis_dof": {}}
     for number, installation in enumerate(study.scenario.rig.sensors):
@@ -257,6 +261,23 @@ def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]
             "coverage_95_ci": list(coverage[1:]),
         }
     )
+
+
+def _roots(key: str, squared: Mapping[str, Float[np.ndarray, " runs"]]) -> dict[str, Any]:
+    """Roots of means over runs, and of the ends of their intervals, by name."""
+    means = {name: interval(values) for name, values in squared.items()}
+    return {
+        key: {name: float(np.sqrt(mean.mean)) for name, mean in means.items()},
+        f"{key}_ci": {
+            name: [float(np.sqrt(max(end, 0.0))) for end in mean[1:]]
+            for name, mean in means.items()
+        },
+    }
+
+
+def _watches(study: Study) -> tuple[str, ...]:
+    world = study.scenario.world
+    return () if world is None else world.watches
 
 
 def _states(study: Study) -> Space:

@@ -1,11 +1,12 @@
 """Scenarios: a rig in a world, for so long, in such steps."""
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key, PRNGKeyArray
+from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from kedge.core.errors import ContractError
 from kedge.estimation.rig import Installation, Rig
@@ -30,6 +31,17 @@ class AbstractWorld(eqx.Module):
     be told of by encoders that miss counts. Its state needs the fields of the rig's state that
     are estimated and scored, and those that sensors read.
     """
+
+    watches: ClassVar[tuple[str, ...]] = ()
+    """What studies report of the truth itself, such as its distance from a route."""
+
+    def watch(self, scenario: "Scenario", history: History) -> Float[Array, "K w"]:
+        """What ``watches`` names, at every step; studies report its root mean square.
+
+        The path is given with the fields of the rig's state.
+        """
+        del history
+        return jnp.zeros((scenario.steps, 0))
 
     @abc.abstractmethod
     def unfold(
