@@ -1,0 +1,147 @@
+"""The slipping robot: what must hold exactly without slip, and the statistics of its errors."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.errors import ContractError
+from kedge.estimation.batch import estimate
+from kedge.estimation.rig import Installation, Rig, as_arrays
+from kedge.filters.dead_reckoning import DeadReckoning
+from kedge.sensors.landmark_pose import LandmarkPose
+from kedge.simulation.omni_robot import OmniRobot
+from kedge.simulation.routes import Circle, Facing, Waypoints
+from kedge.simulation.scenario import History, Scenario
+from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.vehicles.omnidirectional import Omnidirectional
+
+LANDMARK = (1.0, 0.0)
+SQUARE = ((0.0, 0.0), (0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0), (0.0, 0.0))
+ROUTES = {
+    "circle": Facing(Circle(LANDMARK), LANDMARK),
+    "square": Facing(Waypoints(SQUARE, 0.2), LANDMARK),
+}
+DT = 0.01
+
+
+def lap(name="circle", duration=40.0, **parameters):
+    robot = Omnidirectional()
+    camera = Installation("camera", LandmarkPose(), rate=10.0)
+    rig = Rig(robot, (camera,), Gaussian(robot.start(), jnp.eye(3)))
+    return Scenario(rig, duration, DT, world=OmniRobot(ROUTES[name], **parameters))
+
+
+@eqx.filter_jit
+def losses(world, keys):
+    return jax.vmap(lambda key: 1 - world.grips(key, 4000, DT))(keys)
+
+
+def lost(key, **parameters):
+    """The share that each wheel loses in each step, in runs of 40 s."""
+    world = as_arrays(OmniRobot(ROUTES["circle"], **parameters))
+    return np.asarray(losses(world, jr.split(key, 50)))
+
+
+def astray(scenario, run):
+    """How far the robot is from its route in m, and its heading in rad."""
+    assert scenario.world is not None
+    history = History(run.truth, run.controls, run.start)
+    return np.asarray(scenario.world.watch(scenario, history))
+
+
+@pytest.mark.parametrize("name", ROUTES)
+def test_without_slip_the_robot_is_on_its_route(name, key):
+    scenario = lap(name, slip=0.0)
+    np.testing.assert_allclose(astray(scenario, simulate(scenario, key)), 0, atol=1e-9)
+
+
+def test_slip_leads_off_the_route_and_encoders_do_not(key):
+    away = {}
+    for delay in (0.02, 0.3):
+        scenario = lap(delay=delay)
+        away[delay] = astray(scenario, simulate(scenario, key))
+    assert 0.02 < away[0.02][:, 0].max() < 1
+    assert 0.01 < np.abs(away[0.02][:, 1]).max() < 1
+    np.testing.assert_array_equal(away[0.02], away[0.3])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.07])
+def test_counts_are_the_wheels_angle_when_they_were_taken(delay, key):
+    """On the circle wheel i turns at (-v cos(alpha_i) + R omega) / r throughout."""
+    run = simulate(lap(duration=4.0, slip=0.0, delay=delay), key)
+    turning = 2 * np.pi / 40
+    rates = turning * (np.array([-1, 0, 1, 0]) + 0.2) / 0.05
+    told = np.cumsum(np.asarray(run.controls.wheels) * DT, axis=0)[1::2]
+    read = np.arange(1, 201) * 0.02
+    angle = rates * np.maximum(read - delay, 0)[:, None]
+    assert np.abs(told - angle).max() < 2 * np.pi / 2048
+    assert np.abs(told - angle).max() > 0.3 * 2 * np.pi / 2048
+
+
+def test_filters_are_told_nothing_of_what_is_still_to_come(key):
+    """With a delay of one reading: counts that are past at the time from which they hold."""
+    world = OmniRobot(ROUTES["circle"])
+    spins = jnp.full((200, 4), 5.0)
+    other = spins.at[100:].set(-5.0)
+    told = [np.asarray(world.told(key, s, DT)) for s in (spins, other)]
+    np.testing.assert_array_equal(told[0][:102], told[1][:102])
+    assert (told[0][102:] > 0).all()
+    assert (told[1][102:] < 0).all()
+
+
+def test_dead_reckoning_by_perfect_encoders_is_the_truth(key):
+    """So every control holds over the time in which it was counted."""
+    scenario = lap("square", 8.0, slip=0.0, delay=0.0, counts=1e9)
+    run = simulate(scenario, key)
+    plan = schedule(scenario, output_rate=50.0)
+    found = estimate(DeadReckoning(), scenario.rig, with_readings(plan.log, scenario, run))
+    every = np.asarray(found.moments.mean.position)[plan.outputs]
+    # Over 20 ms the midpoint rule errs by as much as the corners of a polygon do.
+    np.testing.assert_allclose(every, np.asarray(run.truth.position)[1::2], atol=1e-5)
+
+
+def test_missed_counts_are_the_given_share(key):
+    """What is left of every count with the probability 0.95, whatever the direction."""
+    told = {
+        missed: np.asarray(simulate(lap(slip=0.0, missed=missed), key).controls.wheels)
+        for missed in (0.0, 0.05)
+    }
+    assert (np.abs(told[0.05]) <= np.abs(told[0.0]) + 1e-12).all()
+    # Some 49,000 counts of the first wheel, backwards, and 73,000 of the third.
+    for wheel in (0, 2):
+        counts = np.abs(told[0.0][:, wheel]).sum() * DT * 2048 / (2 * np.pi)
+        share = 1 - told[0.05][:, wheel].sum() / told[0.0][:, wheel].sum()
+        assert abs(share - 0.05) < 4 * np.sqrt(0.05 * 0.95 / counts)
+
+
+def test_what_a_wheel_loses_all_the_time(key):
+    bias = lost(key, white_std=0.0, event_rate=0.0)
+    assert np.ptp(bias, axis=1).max() < 1e-12
+    np.testing.assert_allclose(bias[:, 0].std(), 0.01, rtol=0.2)
+    white = lost(key, bias_std=0.0, event_rate=0.0)
+    averaged = white.reshape(50, 2000, 2, 4).mean(axis=2)
+    np.testing.assert_allclose(averaged.std(), 0.02, rtol=0.01)
+    tripled = lost(key, bias_std=0.0, event_rate=0.0, slip=3.0)
+    np.testing.assert_allclose(tripled, 3 * white, atol=1e-12)
+
+
+def test_slip_events_are_as_many_as_long_and_as_bad_as_told(key):
+    """A new event ends the one before: a wheel slips for the share r d / (1 + r d)."""
+    slips = lost(key, bias_std=0.0, white_std=0.0, event_rate=0.5, event_duration=0.4)
+    share = 0.5 * 0.4 / (1 + 0.5 * 0.4)
+    # 50 runs of 4 wheels with 20 events each.
+    np.testing.assert_allclose(slips.mean(), share * 0.55, rtol=0.05)
+    np.testing.assert_allclose((slips > 0).mean(), share, rtol=0.05)
+    assert slips.max() <= 0.8
+    assert np.median(slips[slips > 0]) == pytest.approx(0.55, abs=0.02)
+    begins = ((slips[:, 1:] > 0) & (slips[:, :-1] == 0)).sum() / (50 * 4 * 40)
+    assert begins == pytest.approx(0.5 * (1 - share), rel=0.05)
+
+
+def test_encoders_that_do_not_fit_the_steps_are_refused():
+    with pytest.raises(ContractError, match="encoder_rate is 30 Hz, expected a whole number"):
+        schedule(lap(encoder_rate=30.0))
