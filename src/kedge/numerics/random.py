@@ -67,24 +67,18 @@ def threefry(key: UInt32[Array, "2"], upper: Words, lower: Words) -> tuple[Words
 def _log_unit(word: Words, kind: np.dtype) -> Float[Array, " n"]:
     r"""$\ln u$, $u = (w + \tfrac12) / 2^{32}$, by $\ln m = 2\,\mathrm{artanh}\frac{m-1}{m+1}$.
 
-    As arithmetic, since a call of the library's logarithm is not vectorised. To 1e-13, and to
-    1e-9 at w = 0.
+    As arithmetic, since a call of the library's logarithm is not vectorised. To 1e-13.
     """
-    zeros = lax.clz(word | jnp.uint32(1))
-    # 1 <= m < 2; the half that makes u > 0 counts in the last bit.
-    m = (word.astype(kind) + 0.5) * _power(zeros.astype(jnp.int32) - 31, kind)
+    bits, bias, integer = (52, 1023, jnp.int64) if kind == jnp.float64 else (23, 127, jnp.int32)
+    parts = lax.bitcast_convert_type(word.astype(kind) + 0.5, integer)
+    fraction = (parts & ((1 << bits) - 1)) | (bias << bits)
+    m = lax.bitcast_convert_type(fraction, kind)  # 1 <= m < 2
     high = m > math.sqrt(2)
     m = jnp.where(high, m / 2, m)
-    exponent = jnp.where(high, 1.0, 0.0).astype(kind) - 1 - zeros.astype(kind)
+    exponent = (parts >> bits).astype(jnp.int32) - (bias + 32) + high
     t = (m - 1) / (m + 1)
     series = _horner([2 / (2 * k + 1) for k in range(8)], t * t)
-    return exponent * math.log(2) + t * series
-
-
-def _power(exponent: Any, kind: np.dtype) -> Float[Array, " n"]:
-    """2 to a small integer, by its bits."""
-    bits, bias, integer = (52, 1023, jnp.int64) if kind == jnp.float64 else (23, 127, jnp.int32)
-    return lax.bitcast_convert_type((exponent.astype(integer) + bias) << bits, kind)
+    return exponent.astype(kind) * math.log(2) + t * series
 
 
 def _cosine(word: UInt32[Array, "2 n"], kind: np.dtype) -> Float[Array, "2 n"]:
