@@ -8,8 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
+from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
+from kedge.core.registry import unknown
 from kedge.estimation.rig import Installation, Rig
+
+FEEDBACKS = ("none", "truth", "readings", "filter")
 
 
 class History(NamedTuple):
@@ -32,6 +36,8 @@ class AbstractWorld(eqx.Module):
     are estimated and scored, and those that sensors read.
     """
 
+    guided: ClassVar[bool] = False
+    """Whether it is steered by what is believed of it."""
     watches: ClassVar[tuple[str, ...]] = ()
     """What studies report of the truth itself, such as its distance from a route."""
 
@@ -54,12 +60,28 @@ class AbstractWorld(eqx.Module):
         """
 
 
+class Navigator(eqx.Module):
+    """The filter that a guidance believes."""
+
+    filter: AbstractFilter
+    name: str = eqx.field(static=True, default="")
+    """Whose draws it makes; a study's filter of that name makes the same."""
+    key: PRNGKeyArray | None = None
+    error: Float[Array, " n"] | None = None
+    """Of its first mean against the truth, in units of the prior's roots; if None, it starts
+    from the prior's own mean."""
+
+
 class Scenario(eqx.Module):
     """A rig driven by its vehicle's own ``drive``, or in a world; sensors fire at their rates.
 
     A sensor over a map sees its targets in turn, one each time it fires. Without a world the
     truth is drawn from the rig's prior ``spin_up`` seconds before time 0 and moves until then,
     so that it begins on the attractor of a system that has one.
+
+    The guidance of a world that has one steers by ``feedback``: "none" (it believes that all
+    goes as intended), "truth", "readings" (each as it is, until the next) or "filter": its
+    ``navigator``, or each filter of a study, which then is judged in a loop of its own.
     """
 
     rig: Rig
@@ -67,6 +89,8 @@ class Scenario(eqx.Module):
     dt: float = eqx.field(static=True, default=0.1)  # s, the step of the truth
     spin_up: float = eqx.field(static=True, default=0.0)  # s
     world: AbstractWorld | None = None
+    feedback: str = eqx.field(static=True, default="none")
+    navigator: Navigator | None = None
 
     def __check_init__(self):
         if not (self.dt > 0 and self.duration >= self.dt):
@@ -80,6 +104,14 @@ class Scenario(eqx.Module):
             raise ContractError(
                 f"scenario: spin_up is {self.spin_up:g} s, expected 0: a world of its own "
                 "begins at time 0"
+            )
+        if self.feedback not in FEEDBACKS:
+            what = unknown("feedback", self.feedback, list(FEEDBACKS))
+            raise ContractError(f"scenario: {what}")
+        if self.feedback != "none" and not (self.world is not None and self.world.guided):
+            raise ContractError(
+                f'scenario: feedback is "{self.feedback}", but nothing is steered here; '
+                'expected "none", or a world with a guidance'
             )
 
     @property

@@ -1,5 +1,6 @@
 """Synthetic truth and readings: pure in the key, so a whole study can be one traced program."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -48,7 +49,9 @@ def simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
 def schedule(scenario: Scenario, output_rate: float = 10.0) -> Recording:
     """The events of a scenario; all its runs share them. The readings in it are blanks."""
     key = jr.key(0)
-    shapes = jax.eval_shape(lambda: _simulate(as_arrays(scenario), key))
+    # Whatever a guidance hears changes no shape.
+    plain = dataclasses.replace(scenario, feedback="none", navigator=None)
+    shapes = jax.eval_shape(lambda: _simulate(as_arrays(plain), key))
     blank: Simulation = jax.tree.map(lambda leaf: np.zeros(leaf.shape), shapes)
     stamps = np.round(np.arange(scenario.steps) * scenario.dt * SECOND).astype(np.int64)
     end = round(scenario.steps * scenario.dt * SECOND)
@@ -84,7 +87,11 @@ def with_readings(log: Log, scenario: Scenario, run: Simulation) -> Log:
 @eqx.filter_jit
 def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     rig = scenario.rig
-    start_key, drive_key, sense_key = jr.split(key, 3)
+    start_key, drive_key, sense_key, filter_key = jr.split(key, 4)
+    pilot = scenario.navigator
+    if pilot is not None and pilot.key is None:
+        pilot = dataclasses.replace(pilot, key=filter_key)
+        scenario = dataclasses.replace(scenario, navigator=pilot)
     keys = jr.split(sense_key, max(len(rig.sensors), 1))
     ticks = [scenario.ticks(sensor) for sensor in rig.sensors]
     sensing = tuple(jr.split(k, len(t)) for k, t in zip(keys, ticks, strict=False))
