@@ -7,15 +7,14 @@ own: ``build/dapper``, made here if the network allows, or the interpreter named
 
 import json
 import math
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.conftest import interpreter
 
 import kedge
 from kedge.estimation.log import Log, Readings, Schedule
@@ -45,22 +44,7 @@ CASES = [
 @pytest.fixture(scope="module")
 def dapper():
     """The interpreter of an environment with DAPPER."""
-    named = os.environ.get("KEDGE_DAPPER")
-    if named:
-        return named
-    folder = Path("build/dapper")
-    python = folder / "bin" / "python"
-    if not (folder / "done").exists():
-        try:
-            subprocess.run([sys.executable, "-m", "venv", folder], check=True)
-            # kedge's pins, which make hands on, are not DAPPER's.
-            bare = {k: v for k, v in os.environ.items() if not k.startswith("PIP_")}
-            install = [python, "-m", "pip", "install", "-q", DAPPER]
-            subprocess.run(install, check=True, env=bare)
-        except subprocess.CalledProcessError as error:
-            pytest.skip(f"{DAPPER} cannot be installed: {error}")
-        (folder / "done").touch()
-    return str(python)
+    return interpreter(DAPPER)
 
 
 def world(size, cycles):

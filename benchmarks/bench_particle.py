@@ -8,9 +8,7 @@ good is checked against the Kalman filter.
 """
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.conftest import interpreter
 
 import kedge
 from kedge.core.contracts import AbstractSensor
@@ -69,19 +68,7 @@ class Direct(AbstractSensor[Place]):
 @pytest.fixture(scope="module")
 def rival():
     """The interpreter of an environment with the package."""
-    named = os.environ.get("KEDGE_PARTICLES")
-    if named:
-        return named
-    folder = Path("build/particles")
-    python = folder / "bin" / "python"
-    if not (folder / "done").exists():
-        try:
-            subprocess.run([sys.executable, "-m", "venv", folder], check=True)
-            subprocess.run([python, "-m", "pip", "install", "-q", RIVAL], check=True)
-        except subprocess.CalledProcessError as error:
-            pytest.skip(f"{RIVAL} cannot be installed: {error}")
-        (folder / "done").touch()
-    return str(python)
+    return interpreter(RIVAL)
 
 
 def readings(cycles):
@@ -116,12 +103,13 @@ def test_step(name, count, rival, times):
     )
     (theirs,) = json.loads(answer.stdout)
     exact = np.asarray(compiled("kalman", seen)().mean.place)
-    ours = np.sqrt(np.mean((np.asarray(found.mean.place) - exact) ** 2))
-    other = np.sqrt(np.mean((np.array(theirs["means"]) - exact) ** 2))
+    # The median: one improbable reading, after which few particles count, rules a mean square.
+    ours = np.median(np.abs(np.asarray(found.mean.place) - exact))
+    other = np.median(np.abs(np.array(theirs["means"]) - exact))
     assert ours < 1.5 * other
     what = f"{name}, N {count}"
     times.row(what, "particles", theirs["seconds"], seconds / cycles, at_least=1)
-    times.note(f"{what}: RMS from the exact mean {ours:.2g}, particles {other:.2g}")
+    times.note(f"{what}: median distance from the exact mean {ours:.2g}, particles {other:.2g}")
 
 
 @pytest.mark.parametrize("count", CYCLES)
@@ -134,5 +122,7 @@ def test_resampling(name, count, times):
     scheme = getattr(filterpy.monte_carlo, f"{name}_resample")
     other, theirs = times.best(lambda: scheme(weights), 3)
     for indices in (chosen, other):
-        assert abs(np.bincount(indices, minlength=count) - count * weights).max() < 12
+        copies = np.bincount(indices, minlength=count)
+        # Of independent draws nearly Poisson; the other schemes come nearer.
+        assert np.all(abs(copies - count * weights) < 7 * np.sqrt(count * weights + 1))
     times.row(f"{name}, N {count}", "FilterPy", theirs, seconds, at_least=1)

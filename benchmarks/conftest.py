@@ -3,6 +3,8 @@
 import json
 import os
 import platform
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -40,6 +42,29 @@ class Times:
     def note(self, text):
         """A line below the table."""
         self.notes.append(text)
+
+
+def interpreter(requirement):
+    """Of an environment with a rival that cannot live in kedge's own.
+
+    ``build/NAME``, made here if the network allows, or the one named by ``KEDGE_NAME``.
+    """
+    name = requirement.split("==")[0]
+    if named := os.environ.get(f"KEDGE_{name.upper()}"):
+        return named
+    folder = Path("build") / name
+    python = folder / "bin" / "python"
+    if not (folder / "done").exists():
+        # kedge's pins, which make hands on, are not the rival's.
+        bare = {key: value for key, value in os.environ.items() if not key.startswith("PIP_")}
+        try:
+            subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
+            install = [python, "-m", "pip", "install", "-q", requirement]
+            subprocess.run(install, check=True, env=bare)
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"{requirement} cannot be installed: {error}")
+        (folder / "done").touch()
+    return str(python)
 
 
 COLLECTED = Times()
