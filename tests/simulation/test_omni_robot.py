@@ -14,7 +14,7 @@ from kedge.estimation.rig import Installation, Rig, as_arrays
 from kedge.filters.dead_reckoning import DeadReckoning
 from kedge.sensors.landmark_pose import LandmarkPose
 from kedge.simulation.omni_robot import OmniRobot
-from kedge.simulation.routes import Circle, Facing, Waypoints
+from kedge.simulation.routes import AbstractRoute, Circle, Facing, Place, Waypoints
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
 from kedge.vehicles.omnidirectional import Omnidirectional
@@ -28,11 +28,12 @@ ROUTES = {
 DT = 0.01
 
 
-def lap(name="circle", duration=40.0, **parameters):
+def lap(name="circle", duration=40.0, world=None, **parameters):
     robot = Omnidirectional()
     camera = Installation("camera", LandmarkPose(), rate=10.0)
     rig = Rig(robot, (camera,), Gaussian(robot.start(), jnp.eye(3)))
-    return Scenario(rig, duration, DT, world=OmniRobot(ROUTES[name], **parameters))
+    world = OmniRobot(ROUTES[name], **parameters) if world is None else world
+    return Scenario(rig, duration, DT, world=world)
 
 
 @eqx.filter_jit
@@ -56,7 +57,8 @@ def astray(scenario, run):
 @pytest.mark.parametrize("name", ROUTES)
 def test_without_slip_the_robot_is_on_its_route(name, key):
     scenario = lap(name, slip=0.0)
-    np.testing.assert_allclose(astray(scenario, simulate(scenario, key)), 0, atol=1e-9)
+    # Not to rounding: a command is held for 20 ms, in which the route bends.
+    np.testing.assert_allclose(astray(scenario, simulate(scenario, key)), 0, atol=1e-5)
 
 
 def test_slip_leads_off_the_route_and_encoders_do_not(key):
@@ -66,7 +68,7 @@ def test_slip_leads_off_the_route_and_encoders_do_not(key):
         away[delay] = astray(scenario, simulate(scenario, key))
     assert 0.02 < away[0.02][:, 0].max() < 1
     assert 0.01 < np.abs(away[0.02][:, 1]).max() < 1
-    np.testing.assert_array_equal(away[0.02], away[0.3])
+    np.testing.assert_allclose(away[0.02], away[0.3], atol=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.07])
@@ -82,15 +84,30 @@ def test_counts_are_the_wheels_angle_when_they_were_taken(delay, key):
     assert np.abs(told - angle).max() > 0.3 * 2 * np.pi / 2048
 
 
+class Turnback(AbstractRoute):
+    """Forward until a time, then back."""
+
+    until: float = eqx.field(static=True)
+
+    def at(self, time):
+        way = jnp.minimum(time, 2 * self.until - time)
+        none = jnp.zeros(())
+        speed = jnp.where(time < self.until, 1.0, -1.0)
+        return Place(jnp.stack([way, none]), jnp.stack([speed, none]), none, none)
+
+
 def test_filters_are_told_nothing_of_what_is_still_to_come(key):
     """With a delay of one reading: counts that are past at the time from which they hold."""
-    world = OmniRobot(ROUTES["circle"])
-    spins = jnp.full((200, 4), 5.0)
-    other = spins.at[100:].set(-5.0)
-    told = [np.asarray(world.told(key, s, DT)) for s in (spins, other)]
+    world = OmniRobot(Turnback(100.0))
+    other = OmniRobot(Turnback(1.0))
+    told = [
+        np.asarray(simulate(lap(duration=2.0, world=w), key).controls.wheels)
+        for w in (world, other)
+    ]
     np.testing.assert_array_equal(told[0][:102], told[1][:102])
-    assert (told[0][102:] > 0).all()
-    assert (told[1][102:] < 0).all()
+    # The second and the fourth wheel drive along the first axis.
+    assert (told[0][102:, 1] < 0).all()
+    assert (told[1][102:, 1] > 0).all()
 
 
 def test_dead_reckoning_by_perfect_encoders_is_the_truth(key):

@@ -57,9 +57,9 @@ class AbstractGuidedWorld(AbstractWorld):
         Both have a leading axis of ``hold`` steps, as ``draws`` have.
         """
 
-    @property
-    def hold(self) -> int:
+    def hold(self, scenario: Scenario) -> int:
         """Steps for which a command is held."""
+        del scenario
         return 1
 
     def fix(self, installation: Installation, target: Int[Array, ""], reading: Any) -> dict:
@@ -70,7 +70,7 @@ class AbstractGuidedWorld(AbstractWorld):
     def unfold(
         self, scenario: Scenario, key: PRNGKeyArray, sensing: tuple[Key[Array, " _"], ...]
     ) -> History:
-        steps, hold = scenario.steps, self.hold
+        steps, hold = scenario.steps, self.hold(scenario)
         if steps % hold:
             raise ContractError(
                 f"world: a command is held for {hold} steps, found {steps} steps, expected a "

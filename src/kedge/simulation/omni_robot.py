@@ -1,31 +1,57 @@
 """An omnidirectional robot whose wheels slip, told of by encoders that see only their spin."""
 
 import math
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jax import lax
-from jaxtyping import Array, Float, Key, PRNGKeyArray
+from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Metres, Ratio, Scalar, Seconds, WheelRates
 from kedge.core.rotations import direction, wrap
+from kedge.estimation.rig import Installation
+from kedge.simulation.guidance import follow
+from kedge.simulation.loop import AbstractGuidedWorld
 from kedge.simulation.routes import AbstractRoute, Place
-from kedge.simulation.scenario import AbstractWorld, History, Scenario
+from kedge.simulation.scenario import History, Scenario
 from kedge.vehicles.omnidirectional import Control, Noise, Omnidirectional, State, Twist
 
 AVERAGED = 0.02
 """Time in s over which the white loss of a wheel has its standard deviation."""
 
 
-class OmniRobot(AbstractWorld):
-    r"""Commands that would keep an ideal robot on its route, and wheels that do less than told.
+class Body(NamedTuple):
+    """The robot and its encoders."""
 
-    Each step commands the twist from one place of the route to the next, seen from the heading
-    half-way. Wheel i moves the body as if it turned at
+    state: State
+    angles: Float[Array, "D 4"]
+    """How far each wheel had turned at the ends of the latest steps; rad."""
+    ticks: Float[Array, "4"]
+    """The counts when the encoders were last read."""
+    phases: Float[Array, "4"]
+    """Where between two counts each wheel began."""
+
+
+class Draws(NamedTuple):
+    """By step."""
+
+    grips: Float[Array, "*K 4"]
+    """The share of its spin by which each wheel moves the body."""
+    misses: Key[Array, "*K"]
+
+
+class OmniRobot(AbstractGuidedWorld):
+    r"""Four commanded wheels that slip, on a route that is followed by what is believed.
+
+    From one reading of the encoders to the next, the commands are the twist from the route's
+    place to its next one, corrected in proportion to what is believed to be missing
+    (:func:`kedge.simulation.guidance.follow`), seen from the heading half-way. Without feedback
+    an ideal robot is at the next place. Wheel i moves the body as if it turned at
     $\dot\varphi_i (1 - b_i)(1 - s_i - n_i)$: b is one number for a run, n is white (its mean
     over 20 ms has ``white_std``), and s is lost in slip events, which begin as a Poisson
     process, last for an exponential time and lose a share between two bounds; a new one ends
@@ -45,6 +71,8 @@ class OmniRobot(AbstractWorld):
     route: AbstractRoute
     radius: Metres = 0.05
     arm: Metres = 0.20
+    gain: Scalar = 1.0  # 1/s
+    turn_gain: Scalar = 2.0  # 1/s
     slip: Ratio = 1.0
     bias_std: Ratio = 0.01
     white_std: Ratio = 0.02
@@ -53,28 +81,90 @@ class OmniRobot(AbstractWorld):
     least_loss: Ratio = 0.3
     most_loss: Ratio = 0.8
     encoder_rate: float = eqx.field(static=True, default=50.0)  # Hz
+    delay: float = eqx.field(static=True, default=0.02)  # s
     counts: Scalar = 2048.0  # per turn
-    delay: Seconds = 0.02
     missed: Ratio = 0.0
 
-    def unfold(
-        self, scenario: Scenario, key: PRNGKeyArray, sensing: tuple[Key[Array, " _"], ...]
-    ) -> History:
-        del sensing
-        robot = Omnidirectional(self.radius, self.arm)
-        slip_key, encoder_key = jr.split(key)
-        places = jax.vmap(self.route.at)(jnp.arange(scenario.steps + 1) * scenario.dt)
-        spins = jax.vmap(robot.wheel_rates)(_twists(places, scenario.dt))
-        calm = Noise(jnp.zeros(4), jnp.zeros(2), jnp.zeros(()))
+    def hold(self, scenario: Scenario) -> int:
+        """From one reading of the encoders to the next.
 
-        def body(state: State, wheels: WheelRates) -> tuple[State, State]:
-            state = robot.step(state, Control(wheels), calm, scenario.dt)
-            return state, state
+        Raises:
+            ContractError: that is no whole number of steps, or the delay is negative.
+        """
+        every = round(1 / (self.encoder_rate * scenario.dt))
+        if every < 1 or not math.isclose(every * self.encoder_rate * scenario.dt, 1.0):
+            raise ContractError(
+                f"world: encoder_rate is {self.encoder_rate:g} Hz, expected a whole number of "
+                f"steps of {scenario.dt:g} s from one reading to the next"
+            )
+        if not 0 <= self.delay < math.inf:
+            raise ContractError(f"world: delay is {self.delay:g} s, expected 0 or more")
+        return every
 
-        start = State(places.position[0], places.heading[0])
+    def begin(self, scenario: Scenario, key: PRNGKeyArray) -> tuple[Body, Draws]:
+        slip_key, phase_key, missed_key = jr.split(key, 3)
+        start = self.intended(scenario, 0.0)
+        kept = math.ceil(self.delay / scenario.dt - 1e-9) + 1
+        phases = jr.uniform(phase_key, (4,))
+        body = Body(start, jnp.zeros((kept, 4)), jnp.zeros(4), phases)
         grips = self.grips(slip_key, scenario.steps, scenario.dt)
-        _, path = lax.scan(body, start, spins * grips)
-        return History(path, Control(self.told(encoder_key, spins, scenario.dt)), start)
+        return body, Draws(grips, jr.split(missed_key, scenario.steps))
+
+    def state(self, body: Body) -> State:
+        return body.state
+
+    def intended(self, scenario: Scenario, time: Scalar) -> State:
+        place = self.route.at(time)
+        return State(place.position, place.heading)
+
+    def guidance(self, scenario: Scenario) -> Callable[[State, Scalar], WheelRates]:
+        span, robot = self.hold(scenario) * scenario.dt, self._robot()
+
+        def steer(believed: State, time: Scalar) -> WheelRates:
+            here, there = self.route.at(time), self.route.at(time + span)
+            velocity = (there.position - here.position) / span
+            turning = wrap(there.heading - here.heading) / span
+            place = Place(here.position, velocity, here.heading, turning)
+            velocity, turning = follow(place, *believed, self.gain, self.turn_gain)
+            heading = believed.heading + turning * span / 2
+            ahead, left = direction(heading), direction(heading + jnp.pi / 2)
+            twist = Twist(jnp.stack([ahead @ velocity, left @ velocity]), turning)
+            return robot.wheel_rates(twist)
+
+        return steer
+
+    def move(
+        self, scenario: Scenario, body: Body, command: WheelRates, draws: Draws
+    ) -> tuple[Body, Control]:
+        dt, robot, hold = scenario.dt, self._robot(), len(draws.grips)
+        calm = Noise(jnp.zeros(4), jnp.zeros(2), jnp.zeros(()))
+        ticks, bodies = body.ticks, []
+        for step in range(hold):
+            slipping = Control(command * draws.grips[step])
+            angles = jnp.concatenate([body.angles, (body.angles[-1] + command * dt)[None]])
+            state = robot.step(body.state, slipping, calm, dt)
+            body = Body(state, angles[1:], ticks, body.phases)
+            bodies.append(body)
+        # The wheels' angles ``delay`` ago: between the two oldest that are kept.
+        old, share = body.angles, len(body.angles) - 1 - self.delay / dt
+        angle = old[0] if len(old) == 1 else old[0] + share * (old[1] - old[0])
+        per_radian = self.counts / (2 * jnp.pi)
+        now = jnp.floor(angle * per_radian + body.phases)
+        rates = self.caught(draws.misses[0], now - ticks) / (per_radian * hold * dt)
+        bodies[-1] = body._replace(ticks=now)
+        return (
+            jax.tree.map(lambda *leaves: jnp.stack(leaves), *bodies),
+            Control(jnp.broadcast_to(rates, (hold, 4))),
+        )
+
+    def fix(self, installation: Installation, target: Int[Array, ""], reading: Any) -> dict:
+        """The pose at which a landmark would be seen exactly so."""
+        camera: Any = installation.sensor.facing(target)
+        landmark = camera.target
+        heading = wrap(landmark.heading - reading.orientation)
+        ahead, left = direction(heading), direction(heading + jnp.pi / 2)
+        offset = ahead * reading.offset[0] + left * reading.offset[1]
+        return {"position": landmark.position - offset, "heading": heading}
 
     def watch(self, scenario: Scenario, history: History) -> Float[Array, "K 2"]:
         times = jnp.arange(1, scenario.steps + 1) * scenario.dt
@@ -101,53 +191,14 @@ class OmniRobot(AbstractWorld):
         events = share * jnp.take_along_axis(losses, there, axis=0)
         return (1 - self.slip * bias)[None] * (1 - self.slip * (events + white))
 
-    def told(
-        self, key: PRNGKeyArray, spins: Float[Array, "K 4"], dt: float
-    ) -> Float[Array, "K 4"]:
-        """Wheel rates by the encoders, held from one reading of them to the next.
-
-        Raises:
-            ContractError: the encoders are not read after a whole number of steps.
-        """
-        every = round(1 / (self.encoder_rate * dt))
-        if every < 1 or not math.isclose(every * self.encoder_rate * dt, 1.0, rel_tol=1e-6):
-            raise ContractError(
-                f"world: encoder_rate is {self.encoder_rate:g} Hz, expected a whole number of "
-                f"steps of {dt:g} s from one reading to the next"
-            )
-        phase_key, missed_key = jr.split(key)
-        steps = len(spins)
-        readings = -(-steps // every)
-        turned = jnp.concatenate([jnp.zeros((1, 4)), jnp.cumsum(spins * dt, axis=0)])
-        at = jnp.arange(readings + 1) * every - self.delay / dt
-        angles = jax.vmap(lambda angle: jnp.interp(at, jnp.arange(steps + 1.0), angle), 1, 1)(
-            turned
-        )
-        per_radian = self.counts / (2 * jnp.pi)
-        ticks = jnp.floor(angles * per_radian + jr.uniform(phase_key, (4,))[None])
-        seen = self.caught(missed_key, jnp.diff(ticks, axis=0))
-        rates = seen / (per_radian * every * dt)
-        return jnp.repeat(rates, every, axis=0)[:steps]
-
-    def caught(self, key: PRNGKeyArray, counts: Float[Array, "M 4"]) -> Float[Array, "M 4"]:
+    def caught(self, key: PRNGKeyArray, counts: Float[Array, "4"]) -> Float[Array, "4"]:
         """The counts without those that were missed."""
 
-        def thinned() -> Float[Array, "M 4"]:
+        def thinned() -> Float[Array, "4"]:
             lost = jr.binomial(key, jnp.abs(counts), self.missed, dtype=counts.dtype)
             return counts - jnp.sign(counts) * lost
 
         return lax.cond(self.missed > 0, thinned, lambda: counts)
 
-
-def _twists(places: Place, dt: float) -> Twist:
-    """The twists of the body that lead from each place to the next."""
-    turn = jax.vmap(wrap)(jnp.diff(places.heading))
-    moved = jnp.diff(places.position, axis=0)
-
-    def seen(offset: Float[Array, "2"], heading: Scalar) -> Float[Array, "2"]:
-        return jnp.stack(
-            [direction(heading) @ offset, direction(heading + jnp.pi / 2) @ offset]
-        )
-
-    velocity = jax.vmap(seen)(moved, places.heading[:-1] + turn / 2) / dt
-    return Twist(velocity, turn / dt)
+    def _robot(self) -> Omnidirectional:
+        return Omnidirectional(self.radius, self.arm)
