@@ -5,6 +5,7 @@ of a stream and i, so another filter, another number of runs, another chunk, eng
 changes none.
 """
 
+import dataclasses
 import time
 import zlib
 from collections.abc import Callable, Mapping
@@ -17,11 +18,11 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Int, PRNGKeyArray
 
-from kedge.core.contracts import AbstractFilter
-from kedge.core.errors import ConfigError
+from kedge.core.contracts import AbstractFilter, AbstractVehicle
+from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import space_of
 from kedge.estimation.log import SECOND
-from kedge.estimation.rig import as_arrays
+from kedge.estimation.rig import Rig, as_arrays
 from kedge.evaluation.study_measure import Plan, measured
 from kedge.evaluation.study_scores import (
     Part,
@@ -31,8 +32,8 @@ from kedge.evaluation.study_scores import (
     Tally,
     chunks_of,
 )
-from kedge.numerics.linalg import square_root
-from kedge.simulation.scenario import Scenario
+from kedge.simulation.loop import start_near
+from kedge.simulation.scenario import Navigator, Scenario
 from kedge.simulation.simulate import Simulation, schedule, simulate
 
 CHUNK = 16
@@ -52,6 +53,10 @@ class Study(NamedTuple):
 
     ``start`` "prior" gives filters the prior as it is; with "truth" its mean is the true state
     at time 0 plus an error drawn from its covariance.
+
+    ``vehicles`` are the motion models of filters, by name, that have not the rig's. Where a
+    guidance listens to each filter in turn, every filter has a truth of its own, with the same
+    draws; each is scored in the loop that it closes.
     """
 
     scenario: Scenario
@@ -59,6 +64,7 @@ class Study(NamedTuple):
     score: str = "pooled"
     start: str = "prior"
     seed: int = 0
+    vehicles: Mapping[str, AbstractVehicle] = {}
 
     def check(self) -> None:
         """Refuse what cannot be run.
@@ -76,6 +82,24 @@ class Study(NamedTuple):
                 f"burn_in: found {self.burn_in:g} s, expected 0 or more and less than the "
                 f"duration, {self.scenario.duration:g} s"
             )
+
+    def scenario_of(self, name: str) -> Scenario:
+        """The scenario as a filter knows it: with its own motion model, if it has one.
+
+        Raises:
+            ContractError: that model has another state or control than the rig's.
+        """
+        rig, own = self.scenario.rig, self.vehicles.get(name)
+        if own is None:
+            return self.scenario
+        told, known = (type(vehicle.drive(0.0)) for vehicle in (rig.vehicle, own))
+        if told is not known:
+            raise ContractError(
+                f"filter {name!r}: its {type(own).__name__} is driven by {known._fields}, but "
+                f"the rig's {type(rig.vehicle).__name__} by {told._fields}"
+            )
+        changed = Rig(own, rig.sensors, rig.prior)
+        return dataclasses.replace(self.scenario, rig=changed)
 
 
 def stream(seed: int, name: str) -> PRNGKeyArray:
@@ -107,7 +131,8 @@ class Trials:
                 raise ConfigError(f"{name}: found {number}, expected 1 or more")
         self.study, self.filters, self.runs = study, dict(filters), runs
         self.chunk, self.say = min(chunk, runs), say
-        self.plan, self._scenario = plan_of(study), as_arrays(study.scenario)
+        self.plan = plan_of(study)
+        self._scenarios = {name: as_arrays(study.scenario_of(name)) for name in filters}
         self._programs: dict[str, Any] = {}
 
     @property
@@ -124,15 +149,18 @@ class Trials:
         seed, begin = self.study.seed, number * self.chunk
         index, end = jnp.arange(begin, begin + self.chunk), min(begin + self.chunk, self.runs)
         said = f"runs {begin + 1} to {end} of {self.runs}"
-        self.say(f"{said}: simulating")
-        priors = None if self.study.start == "prior" else stream(seed, "prior")
-        truth, means = _simulated(self._scenario, index, stream(seed, "truth"), priors)
-        pieces = {}
+        pieces, first, truth, means = {}, None, None, None
         for name, filter in self.filters.items():
+            if truth is None or self.study.scenario.each_in_its_loop:
+                self.say(f"{said}: simulating")
+                truth, means = self._truths(name, index)
+            shown_truth = ({}, {}) if number else _first(self.study.scenario, self.plan, truth)
+            first = first or shown_truth
             compiling, key = 0.0, stream(seed, f"filter {name}")
             kept = jnp.arange(self.chunk) < end - begin
             arguments = (
-                as_arrays(filter), self._scenario, self.plan, truth, means, index, kept, key,
+                as_arrays(filter), self._scenarios[name], self.plan, truth, means, index, kept,
+                key,
             )  # fmt: skip
             if name not in self._programs:
                 self.say(f"{name}: compiling")
@@ -147,10 +175,23 @@ class Trials:
             cut = slice(0, end - begin)
             settled, whole = (RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole))
             shown = example._asdict() if number == 0 else {}
-            pieces[name] = Piece(settled, whole, sums, seconds, compiling, shown)
-        if number:
-            return Part(pieces)
-        return Part(pieces, *_first(self._scenario, self.plan, truth))
+            pieces[name] = Piece(
+                settled, whole, sums, seconds, compiling, shown, shown_truth[0]
+            )
+        return Part(pieces, *(first or ()))
+
+    def _truths(self, name: str, index: Int[Array, " runs"]) -> tuple[Simulation, Any]:
+        """Simulate runs; if a guidance listens to each filter in turn, to the one named."""
+        seed, scenario = self.study.seed, self.study.scenario
+        pilot = scenario.navigator
+        if scenario.each_in_its_loop:
+            pilot = Navigator(self.filters[name], name)
+        if pilot is not None:
+            own = self.study.scenario_of(pilot.name)
+            scenario = dataclasses.replace(own, navigator=pilot)
+        priors = None if self.study.start == "prior" else stream(seed, "prior")
+        draws = None if pilot is None else stream(seed, f"filter {pilot.name}")
+        return _simulated(as_arrays(scenario), index, stream(seed, "truth"), priors, draws)
 
 
 def run_study(
@@ -217,20 +258,27 @@ def _simulated(
     index: Int[Array, " runs"],
     truths: PRNGKeyArray,
     priors: PRNGKeyArray | None,
+    draws: PRNGKeyArray | None,
 ) -> tuple[Simulation, Any]:
     """Truths with readings, and the means that the filters start from.
 
-    Without a key for the priors, all start from the scenario's own.
+    Without a key for the priors, all start from the scenario's own. A filter in the loop has
+    the start and the draws that it has outside.
     """
     prior = scenario.rig.prior
     states = space_of(type(prior.mean))
 
     def one(run: Int[Array, ""]) -> tuple[Simulation, Any]:
-        truth = simulate(scenario, jr.fold_in(truths, run))
-        if priors is None:
-            return truth, prior.mean
-        white = jr.normal(jr.fold_in(priors, run), (states.size,))
-        return truth, states.boxplus(truth.start, square_root(prior.cov) @ white)
+        white, own = None, scenario
+        if priors is not None:
+            white = jr.normal(jr.fold_in(priors, run), (states.size,))
+        if scenario.navigator is not None and draws is not None:
+            key = jr.fold_in(draws, run)
+            pilot = dataclasses.replace(scenario.navigator, key=key, error=white)
+            own = dataclasses.replace(scenario, navigator=pilot)
+        truth = simulate(own, jr.fold_in(truths, run))
+        mean = prior.mean if white is None else start_near(prior, truth.start, white)
+        return truth, mean
 
     return jax.vmap(one)(index)
 
@@ -238,12 +286,14 @@ def _simulated(
 def _first(
     scenario: Scenario, plan: Plan, truth: Simulation
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Of the first run: the truth at the scored times, and readings that are positions."""
+    """Of the first run: the truth at the scored times, and readings of fields of the state."""
     path = {k: np.asarray(v)[0, plan.steps] for k, v in truth.truth._asdict().items()}
-    seen = {
-        installation.name: np.asarray(readings.measurement.position)[0]
-        for installation, readings in zip(scenario.rig.sensors, truth.readings, strict=True)
-        # A sensor over a map measures where its targets are, seen from the vehicle.
-        if "position" in type(readings.measurement)._fields and not installation.targets
-    }
+    seen = {}
+    for installation, readings in zip(scenario.rig.sensors, truth.readings, strict=True):
+        if installation.targets:  # it measures where its targets are, seen from the vehicle
+            continue
+        for field, values in readings.measurement._asdict().items():
+            found = np.asarray(values)[0]
+            if field in path and found.shape[1:] == path[field].shape[1:]:
+                seen[f"{installation.name}.{field}"] = found
     return path, seen

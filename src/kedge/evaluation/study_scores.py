@@ -64,6 +64,8 @@ class Piece(NamedTuple):
     compile_seconds: float = 0.0
     example: Mapping[str, np.ndarray] = {}
     """The study's first run: fields of the mean at the scored times; empty in other chunks."""
+    track: Mapping[str, np.ndarray] = {}
+    """Its truth then, which is the filter's own where a guidance listens to it."""
 
 
 class Part(NamedTuple):
@@ -73,7 +75,7 @@ class Part(NamedTuple):
     truth: Mapping[str, np.ndarray] = {}
     """The truth of the study's first run at the scored times; empty in other chunks."""
     readings: Mapping[str, np.ndarray] = {}
-    """Its readings of position by sensor."""
+    """Its readings of fields of the state, by ``sensor.field``."""
 
 
 class Result(NamedTuple):
@@ -88,6 +90,7 @@ class Result(NamedTuple):
     """Of computing, without compiling, for all runs; summed over processes."""
     compile_seconds: float = 0.0
     example: Mapping[str, np.ndarray] = {}
+    track: Mapping[str, np.ndarray] = {}
 
 
 class Tally:
@@ -105,6 +108,7 @@ class Tally:
         self._seconds = dict.fromkeys(names, 0.0)
         self._compiling = dict.fromkeys(names, 0.0)
         self._examples: dict[str, Mapping[str, np.ndarray]] = {}
+        self._tracks: dict[str, Mapping[str, np.ndarray]] = {}
 
     def add(self, part: Part) -> None:
         """Take in the next chunk."""
@@ -116,7 +120,7 @@ class Tally:
             self._seconds[name] += piece.seconds
             self._compiling[name] += piece.compile_seconds
             if piece.example:
-                self._examples[name] = piece.example
+                self._examples[name], self._tracks[name] = piece.example, piece.track
         self.truth = part.truth or self.truth
         self.readings = part.readings or self.readings
 
@@ -136,6 +140,7 @@ class Tally:
                 seconds=self._seconds[name],
                 compile_seconds=self._compiling[name],
                 example=self._examples.get(name, {}),
+                track=self._tracks.get(name, {}),
             )
             for name in self.names
         }
@@ -149,7 +154,9 @@ def pack(part: Part) -> dict[str, np.ndarray]:
             for field, leaf in getattr(piece, group)._asdict().items():
                 found[f"{place}.{group}.{field}"] = np.asarray(leaf)
         found[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
-        found |= {f"{place}.example.{k}": np.asarray(v) for k, v in piece.example.items()}
+        for group in ("example", "track"):
+            fields = getattr(piece, group).items()
+            found |= {f"{place}.{group}.{k}": np.asarray(v) for k, v in fields}
     found |= {f"truth.{k}": np.asarray(v) for k, v in part.truth.items()}
     return found | {f"readings.{k}": np.asarray(v) for k, v in part.readings.items()}
 
@@ -175,6 +182,7 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
                 seconds,
                 compiling,
                 below(f"{place}.example."),
+                below(f"{place}.track."),
             )
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"a chunk's file is not of this version of kedge: {error}") from error

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from kedge.core.contracts import AbstractSensor
-from kedge.core.quantities import Heading, Metres, Radians, Speed
+from kedge.core.quantities import Metres, Radians, Speed
 from kedge.core.registry import sensors
 
 
 class Measurement(NamedTuple):
     offset: Metres
-    heading_error: Heading
+    heading_error: Radians
     speed_error: Speed
 
 

@@ -119,6 +119,11 @@ class Scenario(eqx.Module):
         """How many steps the truth takes."""
         return round(self.duration / self.dt)
 
+    @property
+    def each_in_its_loop(self) -> bool:
+        """Whether a guidance is to believe each filter of a study in turn."""
+        return self.feedback == "filter" and self.navigator is None
+
     def ticks(self, installation: Installation) -> np.ndarray:
         """The steps, counted from 1, at whose ends a sensor fires."""
         rate = installation.rate or installation.sensor.nominal_rate

@@ -11,10 +11,10 @@ from kedge.core.quantities import (
     Acceleration,
     AccelerationNoise,
     Curvature,
-    Heading,
     Inertia,
     Kilograms,
     Metres,
+    Radians,
     Scalar,
     Speed,
     SteeringAngle,
@@ -32,7 +32,8 @@ class State(NamedTuple):
     yaw_rate: YawRate
     offset: Metres
     """Distance from the path, positive to the left."""
-    heading_error: Heading
+    heading_error: Radians
+    """Against the path; the model is one of small angles, which are not wrapped."""
     speed_error: Speed
     """Speed beyond the one that the model is written for."""
 
@@ -157,5 +158,4 @@ class LinearLateralTracking(AbstractLateral):
         push = control.acceleration + noise.longitudinal
         inputs = (control.steering, control.curvature, noise.lateral, noise.yaw, push)
         u = jnp.stack([jnp.asarray(value) for value in inputs])
-        # As a move from where it is, so that a heading far from zero is an angle still.
-        return space(state).boxplus(state, (F - jnp.eye(5)) @ x + G @ u)
+        return space(state).unflatten(F @ x + G @ u)
