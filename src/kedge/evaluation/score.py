@@ -1,12 +1,13 @@
 """What a run was worth: its errors, the honesty of its covariance, the fate of the readings."""
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, space_of
@@ -86,20 +87,11 @@ def errors_of(track: Track, truth: Truth, max_gap: float | int = MAX_GAP) -> Err
     """Compare a track with truth, interpolated in each field's chart."""
     states = space_of(type(track.mean))
     cuts, charts = states.slices(), dict(zip(states.cls._fields, states.charts, strict=True))
-    known = [name for name in states.cls._fields if name in truth.fields]
-    right = np.searchsorted(truth.time, track.time).clip(1, len(truth.time) - 1)
-    span = truth.time[right] - truth.time[right - 1]
-    share = (track.time - truth.time[right - 1]) / span
-    covered = (share >= 0) & (share <= 1) & ((span <= max_gap) | (share == 0) | (share == 1))
-
+    true, covered = truth_at(truth, track.time, charts, max_gap)
     columns, fields, picked, start = [], {}, [], 0
-    for name in known:
+    for name, values in true.items():
         chart = charts[name]
-        columns.append(
-            _field_error(
-                chart, truth.fields[name], right, share, np.asarray(getattr(track.mean, name))
-            )
-        )
+        columns.append(_minus(chart, values, np.asarray(getattr(track.mean, name))))
         fields[name] = slice(start, start + chart.size)
         picked += range(cuts[name].start, cuts[name].stop)
         start += chart.size
@@ -113,6 +105,29 @@ def errors_of(track: Track, truth: Truth, max_gap: float | int = MAX_GAP) -> Err
         track.cov[:, picked][:, :, picked],
         fields,
     )
+
+
+def truth_at(
+    truth: Truth,
+    time: Float[np.ndarray, " K"],
+    charts: Mapping[str, Chart],
+    max_gap: float | int = MAX_GAP,
+) -> tuple[dict[str, np.ndarray], Bool[np.ndarray, " K"]]:
+    """The true fields with a chart, on the shortest way between samples; and where known.
+
+    Outside the samples, and across gaps longer than ``max_gap``, truth is not known; the values
+    there mean nothing.
+    """
+    right = np.searchsorted(truth.time, time).clip(1, len(truth.time) - 1)
+    span = truth.time[right] - truth.time[right - 1]
+    share = (time - truth.time[right - 1]) / span
+    covered = (share >= 0) & (share <= 1) & ((span <= max_gap) | (share == 0) | (share == 1))
+    fields = {}
+    for name, chart in charts.items():
+        if name in truth.fields:
+            values = truth.fields[name]
+            fields[name] = _between(chart, values[right - 1], values[right], share)
+    return fields, covered
 
 
 def score(
@@ -133,18 +148,21 @@ def score(
     return Run(name, estimates, track, errors, scores)
 
 
-def _field_error(
-    chart: Chart, values: np.ndarray, right: np.ndarray, share: np.ndarray, mean: np.ndarray
-) -> Float[np.ndarray, "K c"]:
-    """Truth minus estimate, truth taken along the chart's shortest way between its samples."""
+def _between(
+    chart: Chart, before: np.ndarray, after: np.ndarray, share: Float[np.ndarray, " K"]
+) -> np.ndarray:
+    """Points on the chart's shortest ways from ``before`` to ``after``."""
 
     @jax.jit
     @jax.vmap
-    def one(before, after, part, estimated):
-        true = chart.boxplus(before, part * chart.boxminus(after, before))
-        return chart.boxminus(true, estimated)
+    def one(before, after, part):
+        return chart.boxplus(before, part * chart.boxminus(after, before))
 
-    return np.array(one(values[right - 1], values[right], share, mean))
+    return np.asarray(one(before, after, share))
+
+
+def _minus(chart: Chart, true: np.ndarray, mean: np.ndarray) -> Float[np.ndarray, "K c"]:
+    return np.array(jax.jit(jax.vmap(chart.boxminus))(true, mean))
 
 
 def _accuracy(errors: Errors) -> dict[str, Any]:

@@ -1,0 +1,199 @@
+"""The numbers of a rig that can be tuned: where each stands, and whether it is noise."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import ConfigError
+from kedge.core.manifolds import space
+from kedge.core.registry import unknown
+from kedge.estimation.rig import Rig, as_arrays
+from kedge.vehicles.augmented import Augmented
+
+Path = tuple[str | int, ...]
+
+
+class Tunable(NamedTuple):
+    """A number of a rig."""
+
+    key: str
+    """As in a rig file: ``sensors.gnss.parameters.std``."""
+    path: Path
+    """Where it stands in the :class:`~kedge.estimation.rig.Rig`."""
+    value: float
+    unit: str
+    is_noise: bool
+    """Whether it says how noisy something is, and not what happens without noise."""
+
+    @property
+    def latency_of(self) -> int | None:
+        """The sensor whose latency it is; None if it is something else."""
+        return int(self.path[1]) if self.path[-1] == "latency" else None
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether it is tuned by its logarithm: above 0, and meant to be."""
+        return self.value > 0 and self.latency_of is None and "mount" not in self.path
+
+
+def tunables(rig: Rig) -> list[Tunable]:
+    """Every number of the vehicle, its slow quantities, the sensors and their mounts.
+
+    What is noise is found by asking the models: a number that changes how a step or a reading
+    scatters, but not what it is without noise.
+    """
+    found = [*_of_vehicle(rig), *_of_sensors(rig)]
+    numeric = [t for t in found if t.latency_of is None]
+    noisy = dict(zip([t.key for t in numeric], _are_noise(rig, numeric), strict=True))
+    return [t._replace(is_noise=noisy.get(t.key, False)) for t in found]
+
+
+def choose(rig: Rig, names: Sequence[str] | None) -> list[Tunable]:
+    """The tunables named by key, or by a unique end of it (``std``, ``gnss.parameters.std``).
+
+    Without names all noise above 0 that the rig's behaviour depends on, but no period.
+
+    Raises:
+        ConfigError: a name is unknown, stands for several, or stands twice.
+    """
+    there = tunables(rig)
+    if names is None:
+        chosen = [t for t in there if t.is_noise and t.value > 0 and t.unit != "s"]
+        if not chosen:
+            raise ConfigError(
+                "parameters: the rig has no noise to tune; name some of "
+                f"{', '.join(t.key for t in there) or 'none'}"
+            )
+        return chosen
+    chosen = [_named(there, name) for name in names]
+    for tunable in chosen:
+        if chosen.count(tunable) > 1:
+            raise ConfigError(f"parameters: found {tunable.key} twice, expected it once")
+    if not chosen:
+        raise ConfigError("parameters: found none, expected at least one")
+    return chosen
+
+
+def placed(rig: Rig, chosen: Sequence[Tunable], values: Float[Array, " p"]) -> Rig:
+    """The rig with other values; latencies belong to logs and stay as they are."""
+    where = [(t.path, values[i]) for i, t in enumerate(chosen) if t.latency_of is None]
+    if not where:
+        return rig
+    return eqx.tree_at(
+        lambda own: [_follow(own, path) for path, _ in where], rig, [v for _, v in where]
+    )
+
+
+def _named(there: Sequence[Tunable], name: str) -> Tunable:
+    exact = [t for t in there if t.key == name]
+    ends = exact or [t for t in there if t.key.endswith(f".{name}")]
+    if not ends:
+        raise ConfigError(f"parameters: {unknown('parameter', name, [t.key for t in there])}")
+    if len(ends) > 1:
+        raise ConfigError(
+            f"parameters: {name!r} stands for {', '.join(t.key for t in ends)}; "
+            "expected a name for one of them"
+        )
+    return ends[0]
+
+
+def _of_vehicle(rig: Rig) -> list[Tunable]:
+    vehicle, at = rig.vehicle, ("vehicle",)
+    slow: Mapping[str, Any] = {}
+    if isinstance(vehicle, Augmented):
+        vehicle, at, slow = vehicle.vehicle, ("vehicle", "vehicle"), vehicle.slow
+    found = [
+        Tunable(f"vehicle.parameters.{name}", (*at, name), value, unit, False)
+        for name, value, unit in _numbers(vehicle)
+        # What is estimated with the state is not tuned.
+        if name not in slow
+    ]
+    for name, quantity in slow.items():
+        for field, unit in (("walk", ""), ("time_constant", "s")):
+            value = float(getattr(quantity, field))
+            if np.isfinite(value):
+                key = f"vehicle.slow.{name}.{field}"
+                found.append(Tunable(key, ("vehicle", "slow", name, field), value, unit, False))
+    return found
+
+
+def _of_sensors(rig: Rig) -> list[Tunable]:
+    found = []
+    for index, own in enumerate(rig.sensors):
+        at, key = ("sensors", index), f"sensors.{own.name}"
+        found += [
+            Tunable(f"{key}.parameters.{name}", (*at, "sensor", name), value, unit, False)
+            for name, value, unit in _numbers(own.sensor)
+        ]
+        if own.mount is not None:
+            for name, unit in (("x", "m"), ("y", "m"), ("heading", "rad")):
+                value = float(getattr(own.mount, name))
+                found.append(
+                    Tunable(f"{key}.mount.{name}", (*at, "mount", name), value, unit, False)
+                )
+        found.append(Tunable(f"{key}.latency", (*at, "latency"), own.latency, "s", False))
+    return found
+
+
+def _numbers(model: Any) -> list[tuple[str, float, str]]:
+    """Name, value and unit of a model's parameters that are numbers on a continuous scale."""
+    hints = get_type_hints(type(model), include_extras=True)
+    found = []
+    for field in dataclasses.fields(model):
+        value = getattr(model, field.name)
+        kind = jnp.result_type(value) if isinstance(value, float | jax.Array) else None
+        if field.metadata.get("static") or kind is None or jnp.ndim(value):
+            continue
+        if jnp.issubdtype(kind, jnp.floating):
+            marks = getattr(hints[field.name], "__metadata__", ())
+            unit = next((m.unit for m in marks if hasattr(m, "unit")), "1")
+            found.append((field.name, float(value), unit))
+    return found
+
+
+def _are_noise(rig: Rig, chosen: Sequence[Tunable]) -> list[bool]:
+    """Whether each changes the scatter of a step or of a reading, and nothing else."""
+    if not chosen:
+        return []
+    rig = as_arrays(rig)
+
+    def behaviour(values: Float[Array, " p"]) -> tuple[Array, Array]:
+        own = placed(rig, chosen, values)
+        calm, rough = _moved(own.vehicle, 0.0), _moved(own.vehicle, 1.0)
+        state = space(own.prior.mean).boxplus(own.prior.mean, _nudge(own.prior.mean))
+        target = jnp.zeros((), int)
+        seen = [space(z).flatten(z) for z in (s.expect(state, target) for s in own.sensors)]
+        scatter = [jnp.ravel(s.noise_cov(state, target)) for s in own.sensors]
+        return jnp.concatenate([calm, *seen]), jnp.concatenate([rough - calm, *scatter])
+
+    values = jnp.asarray([t.value for t in chosen])
+    calm, rough = jax.jit(jax.jacfwd(behaviour))(values)
+    same, other = np.all(np.asarray(calm) == 0, axis=0), np.any(np.asarray(rough) != 0, axis=0)
+    return (same & other).tolist()
+
+
+def _moved(vehicle: AbstractVehicle, share: float) -> Float[Array, " n"]:
+    """Where a second with some noise leads from a state that is none in particular."""
+    state, density = vehicle.start(), vehicle.noise_density()
+    control = jax.tree.map(lambda leaf: leaf + 0.1, as_arrays(vehicle.drive(1.0)))
+    state = space(state).boxplus(state, _nudge(state))
+    noise = jax.tree.map(lambda leaf: share * leaf, density)
+    return space(state).boxminus(vehicle.step(state, control, noise, 1.0), state)
+
+
+def _nudge(state: Any) -> Float[Array, " n"]:
+    return 0.1 + 0.01 * jnp.arange(space(state).size)
+
+
+def _follow(tree: Any, path: Path) -> Any:
+    for part in path:
+        nested = isinstance(part, int) or isinstance(tree, dict)
+        tree = tree[part] if nested else getattr(tree, str(part))
+    return tree
