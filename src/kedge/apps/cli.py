@@ -158,6 +158,7 @@ def study(
     force: Force = False,
     set_: SetScenario = None,
     require_: Require = None,
+    report: Report = True,
     as_json: Json = False,
 ) -> None:
     """Several filters over the same simulated runs, beside published scores."""
@@ -167,7 +168,7 @@ def study(
     given = {} if chunk is None else {"chunk": chunk}
     options = Options(
         out, runs, filters, seed, set_, engine=engine, scheduler=scheduler, shard=shard,
-        resume=resume, force=force, **given,
+        resume=resume, force=force, report=report, **given,
     )  # fmt: skip
     summary = execute(scenario, options)
     if shard is None:
@@ -185,13 +186,61 @@ def merge(
     resume: Resume = False,
     force: Force = False,
     require_: Require = None,
+    report: Report = True,
     as_json: Json = False,
 ) -> None:
     """Put the shards of a study together."""
     from kedge.apps.study import merge as merge_shards
 
     conditions = parse_requirements(require_ or [])
-    _finish_study(merge_shards(shards, out, resume, force), out, conditions, as_json)
+    _finish_study(merge_shards(shards, out, resume, force, report), out, conditions, as_json)
+
+
+@app.command()
+def tune(
+    rig: Rig,
+    log: Source,
+    out: Out,
+    filter: Annotated[str | None, typer.Option(help="Instead of the rig's own.")] = None,
+    parameters: Annotated[
+        str | None,
+        typer.Option(help="Names with commas between, instead of all noise of the rig."),
+    ] = None,
+    with_truth: Annotated[
+        bool, typer.Option("--with-truth", help="Judge errors against the log's truth.")
+    ] = False,
+    hold_out: Annotated[
+        float, typer.Option(help="Share of the log, at its end, not tuned on but scored.")
+    ] = 0.5,
+    starts: Annotated[int, typer.Option(help="From how many values to begin.")] = 4,
+    span: Annotated[
+        float, typer.Option(help="Stay within this factor of the rig's own values.")
+    ] = 1000.0,
+    bounds: Annotated[
+        list[str] | None, typer.Option("--bounds", help="Other bounds: KEY=LOW:HIGH.")
+    ] = None,
+    until: Until = None,
+    seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
+    set_: Set = None,
+    require_: Require = None,
+    report: Annotated[bool, typer.Option(help="Draw the profiles of the loss.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Noise, scales and latencies of a rig from a recorded log."""
+    from kedge.apps.tune import Options, execute, print_tuned
+
+    conditions = parse_requirements(require_ or [])
+    options = Options(
+        filter, parameters, with_truth, hold_out, starts, span, bounds or (), until, seed,
+        set_, report,
+    )  # fmt: skip
+    summary = execute(rig, log, out, options)
+    if as_json:
+        print_json(summary)
+    else:
+        print_tuned(summary)
+        print(f"\nresults: {out / 'tuned.toml'}")
+    require(summary["scores"], conditions)
 
 
 @app.command()

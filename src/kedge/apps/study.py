@@ -3,16 +3,18 @@
 import json
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge.apps.console import Interrupted, progress
 from kedge.apps.engines import Job, chosen
-from kedge.apps.study_output import summary_of, write_study
+from kedge.apps.study_output import content_of, summary_of, write_study
 from kedge.apps.workflow import settings, use_compilation_cache
 from kedge.core.errors import ConfigError, DataError
+from kedge.evaluation.page import require_studio
 from kedge.evaluation.study import CHUNK, Trials
+from kedge.evaluation.study_report import write_study_report
 from kedge.evaluation.study_scores import Tally, chunks_of, unpack
 from kedge.files.chunks import ChunkFolder, read_study, study_digest
 from kedge.files.filters import build_filter, split_names
@@ -36,6 +38,7 @@ class Options(NamedTuple):
     shard: str | None = None
     resume: bool = False
     force: bool = False
+    report: bool = True
 
 
 def execute(name: str, options: Options) -> dict[str, Any]:
@@ -50,6 +53,8 @@ def execute(name: str, options: Options) -> dict[str, Any]:
     """
     use_compilation_cache()
     engine = chosen(options.engine, options.scheduler)
+    if options.report and options.out is not None and options.shard is None:
+        require_studio()
     shard = None if options.shard is None else parse_shard(options.shard)
     if options.out is None and (shard or options.resume or options.force):
         raise ConfigError("--shard, --resume and --force need a folder: --out DIR")
@@ -81,15 +86,19 @@ def execute(name: str, options: Options) -> dict[str, Any]:
                 "digest": study_digest(folder.study),
                 "filters": {},
             }
-        return finish(job, folder)
+        return finish(job, folder, say if kept and options.report else None)
 
 
-def merge(sources: Sequence[Path], out: Path, resume: bool, force: bool) -> dict[str, Any]:
+def merge(
+    sources: Sequence[Path], out: Path, resume: bool, force: bool, report: bool = True
+) -> dict[str, Any]:
     """Put the shards of a study together, and write what one whole study leaves.
 
     Raises:
         DataError: the folders hold different studies, or chunks are missing.
     """
+    if report:
+        require_studio()
     studies = {source: read_study(source) for source in sources}
     first = next(iter(studies.values()))
     for source, study in studies.items():
@@ -112,11 +121,17 @@ def merge(sources: Sequence[Path], out: Path, resume: bool, force: bool) -> dict
         )
     for number in whole:
         folder.save(number, there[number].load(number))
-    return finish(job, folder)
+    with progress() as say:
+        return finish(job, folder, say if report else None)
 
 
-def finish(job: Job, folder: ChunkFolder) -> dict[str, Any]:
-    """Add up the chunks in their order, and write the results beside them."""
+def finish(
+    job: Job, folder: ChunkFolder, reporting: Callable[[str], None] | None
+) -> dict[str, Any]:
+    """Add up the chunks in their order, and write the results beside them.
+
+    A report is drawn if there is somebody to tell: ``reporting``.
+    """
     tally, setting = Tally(job.filters), job.setting()
     for number in range(chunks_of(job.runs, job.chunk)):
         tally.add(unpack(folder.load(number), job.filters))
@@ -124,6 +139,9 @@ def finish(job: Job, folder: ChunkFolder) -> dict[str, Any]:
     summary = summary_of(setting, study, results, job.runs)
     with tempfile.TemporaryDirectory(dir=folder.path, prefix=".results-") as draft:
         write_study(Path(draft), summary, results)
+        if reporting is not None:
+            reporting("drawing the report")
+            write_study_report(Path(draft), content_of(study, tally, summary))
         folder.publish(Path(draft))
     return summary
 

@@ -13,19 +13,40 @@ import numpy as np
 from kedge import __version__
 from kedge.evaluation.study import Study, plan_of
 from kedge.evaluation.study_claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band
-from kedge.evaluation.study_scores import Result
+from kedge.evaluation.study_report import StudyContent
+from kedge.evaluation.study_scores import Result, Tally
 from kedge.evaluation.study_summary import summarise_study, windows
-from kedge.files.results import digest, plain, write_summary, write_table
+from kedge.files.results import as_toml, digest, plain, write_summary, write_table
 from kedge.files.scenarios import Setting
 
 
 def write_study(
     folder: Path, summary: Mapping[str, Any], results: Mapping[str, Result]
 ) -> None:
-    """Summary, table and runs."""
+    """Summary, table and runs; the report is written apart."""
     write_summary(folder / "summary.json", summary)
     write_table(folder / "table.csv", summary["filters"])
     _write_runs(folder / "runs.csv", results)
+
+
+def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyContent:
+    """What the report is drawn from."""
+    shown = {
+        key: value
+        for key, value in summary["configuration"].items()
+        if key not in ("claims", "errata", "expected", "published")  # the page has them
+    }
+    facts = {
+        "command": "kedge " + " ".join(summary["arguments"]),
+        "kedge": summary["version"],
+        **summary["versions"],
+        "platform": summary["platform"],
+        "seed": str(summary["seed"]),
+        **{f"digest of {part}": value for part, value in summary["digest"].items()},
+    }
+    return StudyContent(
+        study, tally.results(), tally.truth, tally.readings, summary, as_toml(shown), facts
+    )
 
 
 def summary_of(

@@ -17,6 +17,8 @@ else:
 
 TIME = "time since the start of the log (s)"
 LONG_GAP = 10.0  # s without a fused reading that a figure points out
+CHARACTERS = 130
+"""Of a legend's row, with 8 for each of its marks."""
 BINS = 450  # of a long series: with two points each, more cannot be told apart on a page
 
 
@@ -136,6 +138,9 @@ def logarithmic(ax: Axes) -> None:
 
 
 def legend(ax: Axes, columns: int, scale: float | int = 1) -> Axes:
-    """Put the legend above the axes, where it covers nothing."""
+    """Put the legend above the axes, where it covers nothing; long names get fewer columns."""
+    labels = ax.get_legend_handles_labels()[1]
+    longest = max((len(label) for label in labels), default=0)
+    columns = max(1, min(columns, CHARACTERS // (longest + 8)))
     ax.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, markerscale=scale)
     return ax

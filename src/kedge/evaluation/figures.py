@@ -13,6 +13,7 @@ from jaxtyping import Float
 from kedge.core.errors import DataError
 from kedge.core.manifolds import space_of
 from kedge.estimation.log import Truth
+from kedge.estimation.rig import Rig
 from kedge.evaluation import style
 from kedge.evaluation.consistency import chi_square_bound, coverage, nees
 from kedge.evaluation.drawing import (
@@ -118,6 +119,23 @@ def plot_maps(runs: Sequence[Run], truth: Truth | None, targets: Targets) -> Any
     for ax in axes[count:]:
         ax.remove()
     return axes[:count]
+
+
+def target_map(
+    rig: Rig, names: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """By sensor, the ids and positions of its targets; a map that two share is shown once."""
+    found: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+    for installation in rig.sensors:
+        where = getattr(getattr(installation.sensor, "target", None), "position", None)
+        if where is None:
+            continue
+        where = np.asarray(where)
+        if any(np.array_equal(where, other) for _, other in found.values()):
+            continue
+        numbers = tuple(str(i) for i in range(len(where)))
+        found[installation.name] = names.get(installation.name, numbers), where
+    return found
 
 
 def leaves(run: Run, ax: Axes) -> bool:

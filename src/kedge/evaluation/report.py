@@ -86,21 +86,6 @@ def plates(content: ReportContent) -> list[Plate]:
     return found + _consistency(content, run) + _verdicts(content, run)
 
 
-def target_map(content: ReportContent) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """By sensor, the ids and positions of its targets; a map that two share is shown once."""
-    found: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
-    for installation in content.rig.sensors:
-        where = getattr(getattr(installation.sensor, "target", None), "position", None)
-        if where is None:
-            continue
-        where = np.asarray(where)
-        if any(np.array_equal(where, other) for _, other in found.values()):
-            continue
-        numbers = tuple(str(i) for i in range(len(where)))
-        found[installation.name] = content.target_names.get(installation.name, numbers), where
-    return found
-
-
 def _color(content: ReportContent, run: Run) -> str:
     return style.looks([other.name for other in content.runs])[run.name].color
 
@@ -108,9 +93,13 @@ def _color(content: ReportContent, run: Run) -> str:
 def _map(content: ReportContent) -> list[Plate]:
     runs, truth = content.runs, content.truth
     if len(runs) == 1:
-        axes = [figures.plot_map(runs, truth, target_map(content))]
+        axes = [
+            figures.plot_map(runs, truth, figures.target_map(content.rig, content.target_names))
+        ]
     else:
-        axes = figures.plot_maps(runs, truth, target_map(content))
+        axes = figures.plot_maps(
+            runs, truth, figures.target_map(content.rig, content.target_names)
+        )
     caption = "The paths in plan, with 95\u00a0% ellipses of the filters at even intervals."
     strays = [run.name for run in runs if figures.leaves(run, axes[0])]
     if strays:

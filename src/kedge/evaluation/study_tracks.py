@@ -1,0 +1,151 @@
+"""Figures of a study's first run: truth, readings and estimates."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from kedge.evaluation import style
+from kedge.evaluation.drawing import envelope, legend
+from kedge.evaluation.study_figures import TIME
+from kedge.evaluation.study_lines import Line, lines, plot_line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+else:
+    Axes = Any
+
+DOTS = 1500
+"""Of readings: more make the file larger, not the picture clearer."""
+TURNS = 30
+"""How often a truth that swings is shown to cross its middle."""
+
+
+class Seen(NamedTuple):
+    """One sensor's readings of a field of the state."""
+
+    sensor: str
+    time: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, "n d"]
+
+
+class Track(NamedTuple):
+    """A field of the state in the first run."""
+
+    name: str
+    unit: str
+    time: Float[np.ndarray, " K"]
+    truth: Float[np.ndarray, "K d"]
+    estimates: Mapping[str, Float[np.ndarray, "K d"]]
+    """By filter."""
+    seen: Sequence[Seen] = ()
+
+
+@style.styled
+def plot_component(track: Track, index: int, label: str) -> Any:
+    """Draw one component: itself, and below how far readings and estimates lie from truth."""
+    factor, symbol = style.shown(track.unit)
+    truth = factor * _continuous(track, track.truth[:, index])
+    axes = style.subplots(2, 1, 4.6, sharex=True, height_ratios=[1.25, 1])[:, 0]
+    upper, lower = axes
+    upper.plot(*envelope(track.time, truth), color=style.color("truth"), lw=2.8, alpha=0.35)
+    upper.lines[-1].set_label("truth")
+    found = lines({name: values[:, index] for name, values in track.estimates.items()})
+    for seen in track.seen:
+        time, values = _thinned(seen.time, factor * seen.values[:, index])
+        true = np.interp(time, track.time, truth)
+        name = f"readings of {style.words(seen.sensor)}"
+        for ax, height in ((upper, values), (lower, values - true)):
+            ax.plot(time, height, ".", color=style.color("target"), ms=2.4, alpha=0.45, mew=0)
+        upper.lines[-1].set_label(name)
+    for line in found:
+        error = factor * _deviation(track, line, index)
+        for ax, values, name in ((upper, truth + error, line.label), (lower, error, None)):
+            time, kept = envelope(track.time, values)
+            plot_line(ax, line, time, kept, name, False)
+    lower.axhline(0, color=style.color("muted"), lw=0.6)
+    upper.set_ylabel(f"{label} ({symbol})")
+    lower.set(ylabel=f"{label} − truth\n({symbol})", xlabel=TIME)
+    begin = (
+        0.0 if track.time[0] <= 2 * (track.time[1:2] - track.time[:1]).sum() else track.time[0]
+    )
+    lower.set_xlim(begin, track.time[-1])
+    limit = _limit(found, track, index, factor)
+    lower.set_ylim(-limit, limit)
+    legend(upper, 3, 2)
+    return axes
+
+
+@style.styled
+def plot_plan(track: Track, targets: Mapping[str, Any]) -> Axes:
+    """Draw the first run in plan, with equal scales: truth, readings, estimates, targets."""
+    points = [track.truth[:, :2], *(where[:, :2] for _, where in targets.values())]
+    low, high = (f(np.concatenate(points), axis=0) for f in (np.nanmin, np.nanmax))
+    whole = max(float((high - low).max()), 1e-3)
+    half = np.maximum((high - low) / 2, 0.12 * whole) + 0.08 * whole
+    low, high = (low + high) / 2 - half, (low + high) / 2 + half
+    height = 7.4 * float((high - low)[1] / (high - low)[0]) + 0.9
+    ax = style.given(None, min(max(height, 3.4), 7.4))
+    ax.plot(*track.truth.T[:2], color=style.color("truth"), lw=3.2, alpha=0.3, label="truth")
+    for seen in track.seen:
+        kept = np.linspace(0, len(seen.values) - 1, min(DOTS, len(seen.values))).astype(int)
+        ax.plot(*seen.values[kept].T[:2], ".", color=style.color("target"), mew=0)
+        ax.lines[-1].set(ms=2.6, alpha=0.5, label=f"readings of {style.words(seen.sensor)}")
+    for line in lines({name: values.ravel() for name, values in track.estimates.items()}):
+        path = track.estimates[line.names[0]]
+        plot_line(ax, line, path[:, 0], path[:, 1], line.label, False)
+    for marker, (sensor, (_, where)) in zip("^DPv*s" * 5, targets.items(), strict=False):
+        ax.plot(*where.T[:2], marker, color=style.color("target"), ms=5, ls="none")
+        ax.lines[-1].set_label(f"targets of {style.words(sensor)}")
+    ends: Any = {"color": style.color("ink"), "ls": "none", "ms": 6, "zorder": 6}
+    ax.plot(*track.truth[:1, :2].T, marker="o", mfc=style.color("paper"), label="start", **ends)
+    ax.plot(*track.truth[-1:, :2].T, marker="s", label="end", **ends)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    ax.set(xlabel="east, x (m)", ylabel="north, y (m)")
+    return legend(ax, 4, 1.4)
+
+
+def shown_span(track: Track) -> Track:
+    """A truth that swings many times, cut to its last few: else it would be a black band."""
+    middle = track.truth[:, 0] - np.median(track.truth[:, 0])
+    crossings = np.flatnonzero(np.diff(np.signbit(middle)))
+    if len(crossings) <= 2 * TURNS:
+        return track
+    begin = int(crossings[-TURNS])
+    seen = [
+        one._replace(
+            time=one.time[one.time >= track.time[begin]],
+            values=one.values[one.time >= track.time[begin]],
+        )
+        for one in track.seen
+    ]
+    return track._replace(
+        time=track.time[begin:],
+        truth=track.truth[begin:],
+        estimates={name: values[begin:] for name, values in track.estimates.items()},
+        seen=seen,
+    )
+
+
+def _continuous(track: Track, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Angles without jumps at the seam."""
+    return np.unwrap(values) if track.unit == "rad" else values
+
+
+def _thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    kept = np.linspace(0, len(time) - 1, min(DOTS, len(time))).astype(int)
+    return time[kept], values[kept]
+
+
+def _deviation(track: Track, line: Line, index: int) -> Float[np.ndarray, " K"]:
+    """Estimate minus truth, for angles the shorter way round."""
+    error = track.estimates[line.names[0]][:, index] - track.truth[:, index]
+    return (error + np.pi) % (2 * np.pi) - np.pi if track.unit == "rad" else error
+
+
+def _limit(found: Sequence[Line], track: Track, index: int, factor: float) -> float:
+    """Room for what a good filter does; readings and a filter that is lost may leave it."""
+    sizes = [np.nanquantile(np.abs(_deviation(track, line, index)), 0.99) for line in found]
+    best, worst = float(np.nanmin(sizes)), float(np.nanmax(sizes))
+    return factor * max(1.6 * min(worst, 4 * best), 3 * best, 1e-9)
