@@ -1,5 +1,7 @@
 """The slipping robot: what must hold exactly without slip, and the statistics of its errors."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,12 +14,12 @@ from kedge.core.errors import ContractError
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig, as_arrays
 from kedge.filters.dead_reckoning import DeadReckoning
-from kedge.sensors.landmark_pose import LandmarkPose
+from kedge.sensors.landmark_pose import Landmark, LandmarkPose
 from kedge.simulation.omni_robot import OmniRobot
 from kedge.simulation.routes import AbstractRoute, Circle, Facing, Place, Waypoints
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
-from kedge.vehicles.omnidirectional import Omnidirectional
+from kedge.vehicles.omnidirectional import Omnidirectional, State
 
 LANDMARK = (1.0, 0.0)
 SQUARE = ((0.0, 0.0), (0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0), (0.0, 0.0))
@@ -159,6 +161,35 @@ def test_slip_events_are_as_many_as_long_and_as_bad_as_told(key):
     assert begins == pytest.approx(0.5 * (1 - share), rel=0.05)
 
 
+def test_a_fix_undoes_the_sensor():
+    """Landmarks anywhere, turned anyhow: what is seen of one tells where it is seen from."""
+    camera = LandmarkPose(
+        Landmark(jnp.array([[1.0, 0.0], [-3.0, 2.0]]), jnp.array([0.0, 2.5])),
+    )
+    installation, world = Installation("camera", camera), OmniRobot(ROUTES["circle"])
+    for x, y, heading in ((0.2, -0.7, 3.1), (-5.0, 2.0, -1.2)):
+        pose = State(jnp.array([x, y]), jnp.array(heading))
+        for target in (0, 1):
+            number = jnp.asarray(target)
+            seen = installation.expect(pose, number)
+            found = world.fix(installation, number, seen)
+            np.testing.assert_allclose(found["position"], [x, y], atol=1e-12)
+            np.testing.assert_allclose(found["heading"], heading, atol=1e-12)
+
+
+def test_feedback_leads_back_to_the_route(key):
+    """The same slip, steered by nothing and by the truth."""
+    away = {}
+    for feedback in ("none", "truth"):
+        scenario = dataclasses.replace(lap(), feedback=feedback)
+        away[feedback] = astray(scenario, simulate(scenario, key))
+    open_loop, closed = (np.sqrt(np.mean(one[:, 0] ** 2)) for one in away.values())
+    assert open_loop > 0.03
+    assert closed < 0.015
+
+
 def test_encoders_that_do_not_fit_the_steps_are_refused():
     with pytest.raises(ContractError, match="encoder_rate is 30 Hz, expected a whole number"):
         schedule(lap(encoder_rate=30.0))
+    with pytest.raises(ContractError, match=r"delay is -0\.1 s, expected 0 or more"):
+        schedule(lap(delay=-0.1))
