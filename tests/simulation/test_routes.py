@@ -71,9 +71,9 @@ def test_circle_and_square_face_their_landmark():
 
 def test_the_lane_turns_by_the_area_of_its_trapezoid():
     lane = ROUTES["lane"]
-    bends = jax.vmap(lane.bend)(np.array([0.0, 11.5, 14.0, 17.5, 30.0]))
+    bends = jax.vmap(lane.bend)(np.array([0.0, 10.5, 14.0, 18.5, 30.0]))
     np.testing.assert_allclose(bends * 800, [0, 0.5, 1, 0.5, 0])
-    np.testing.assert_allclose(lane.at(30.0).heading, 40 / 800 * 6, rtol=1e-12)
+    np.testing.assert_allclose(lane.at(30.0).heading, 40 / 800 * 8, rtol=1e-12)
     # The speed is 40 m/s throughout: so is the length of a finely cut polygon.
     polygon = jax.vmap(lane.at)(jnp.linspace(0, 30, 3001)).position
     np.testing.assert_allclose(

@@ -1,7 +1,7 @@
 """A car that keeps its lane at constant speed, blown about, steered by what is believed."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.core.quantities import Metres, Radians, Scalar, SteeringAngle
+from kedge.core.quantities import Curvature, Metres, Radians, Scalar, SteeringAngle
 from kedge.numerics.noise import process_std
 from kedge.simulation.guidance import lane_keeper, like, steady_turn
 from kedge.simulation.loop import AbstractGuidedWorld
@@ -25,13 +25,21 @@ from kedge.vehicles.lateral_tracking import (
 )
 
 
+class Ahead(NamedTuple):
+    """By step."""
+
+    gusts: Noise
+    bend: Float[Array, "*K"]
+    """The curvature of the path, whoever knows it."""
+
+
 class LaneKeeping(AbstractGuidedWorld):
     r"""The rig's car in its nonlinear form, in the middle of a bending lane or next to it.
 
     It begins ``offset`` to the left of the path, straight and at the right speed, and is
-    blown about by the noise of the rig's vehicle. A quadratic regulator steers it, ahead of
-    time where the lane bends. Filters are told steering angle, acceleration and, unless
-    ``curvature_told`` is false, the curvature of the path.
+    blown about by the noise of the rig's vehicle. A quadratic regulator steers it into the
+    bend. Filters are told steering angle, acceleration and the path's curvature; unless
+    ``curvature_known`` is true, they and the guidance take the path for straight.
 
     Studies report the offset, the heading error and the rate at which it steers.
 
@@ -47,21 +55,22 @@ class LaneKeeping(AbstractGuidedWorld):
     steering_scale: SteeringAngle = 0.03
     steering_limit: SteeringAngle = 0.1
     speed_gain: Scalar = 0.5  # 1/s
-    curvature_told: bool = True
+    curvature_known: bool = True
 
-    def begin(self, scenario: Scenario, key: PRNGKeyArray) -> tuple[State, Noise]:
+    def begin(self, scenario: Scenario, key: PRNGKeyArray) -> tuple[State, Ahead]:
         car, none = _car(scenario), jnp.zeros(())
         start = State(none, none, jnp.asarray(self.offset), none, none)
         noises = space(car.noise_density())
         white = jr.normal(key, (scenario.steps, noises.size))
-        shocks = jax.vmap(noises.unflatten)(white * process_std(car, scenario.dt)[None])
-        return start, shocks
+        gusts = jax.vmap(noises.unflatten)(white * process_std(car, scenario.dt)[None])
+        bends = jax.vmap(self.route.bend)(jnp.arange(scenario.steps) * scenario.dt)
+        return start, Ahead(gusts, bends)
 
     def state(self, body: State) -> State:
         return body
 
     def intended(self, scenario: Scenario, time: Scalar) -> State:
-        return steady_turn(_car(scenario), self.route.bend(time))[0]
+        return steady_turn(_car(scenario), self.known(time))[0]
 
     def guidance(self, scenario: Scenario) -> Callable[[State, Scalar], Control]:
         scales = self.offset_scale, self.heading_scale, self.steering_scale
@@ -69,19 +78,22 @@ class LaneKeeping(AbstractGuidedWorld):
         keeper = lane_keeper(_car(scenario), scenario.dt, *scales, *limits)
 
         def steer(believed: State, time: Scalar) -> Control:
-            curvature = self.route.bend(time)
+            curvature = self.known(time)
             return Control(*keeper.command(believed, curvature), curvature)
 
         return steer
 
+    def known(self, time: Scalar) -> Curvature:
+        """The curvature at a time, as it is told."""
+        return jnp.where(self.curvature_known, self.route.bend(time), 0.0)
+
     def move(
-        self, scenario: Scenario, body: State, command: Control, draws: Noise
+        self, scenario: Scenario, body: State, command: Control, draws: Ahead
     ) -> tuple[State, Control]:
-        shock = jax.tree.map(lambda leaf: leaf[0], draws)
-        body = _car(scenario).step(body, command, shock, scenario.dt)
-        seen = jnp.where(self.curvature_told, command.curvature, 0.0)
-        told = command._replace(curvature=seen)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (body, told))
+        gusts, bend = jax.tree.map(lambda leaf: leaf[0], draws)
+        bending = command._replace(curvature=bend)
+        body = _car(scenario).step(body, bending, gusts, scenario.dt)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (body, command))
 
     def watch(self, scenario: Scenario, history: History) -> Float[Array, "K w"]:
         steering = history.controls.steering

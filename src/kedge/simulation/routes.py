@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Curvature, Metres, Scalar, Seconds, Speed
+from kedge.core.registry import routes
 from kedge.core.rotations import direction
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -34,6 +35,7 @@ class AbstractRoute(eqx.Module):
         """The place at ``time`` seconds; at a sharp corner, with the direction after it."""
 
 
+@routes.add("waypoints")
 class Waypoints(AbstractRoute):
     r"""Straight from point to point at constant speed, or with stops at the points.
 
@@ -100,6 +102,7 @@ class Waypoints(AbstractRoute):
         return Place(position, pace * along, heading, jnp.zeros(()))
 
 
+@routes.add("arcs")
 class Arcs(AbstractRoute):
     r"""Pieces of constant curvature at constant speed, one after the other, again and again.
 
@@ -147,6 +150,7 @@ class Arcs(AbstractRoute):
         )
 
 
+@routes.add("circle")
 class Circle(AbstractRoute):
     """Counter-clockwise around a centre, from the point at the angle ``phase``."""
 
@@ -163,6 +167,7 @@ class Circle(AbstractRoute):
         return Place(place, velocity, angle + jnp.pi / 2, rate)
 
 
+@routes.add("figure-of-eight")
 class FigureOfEight(AbstractRoute):
     r"""Gerono's lemniscate $p = A \sin\varphi\,[1, \cos\varphi]$, $\varphi = 2\pi t / T$.
 
@@ -186,11 +191,13 @@ class FigureOfEight(AbstractRoute):
         return Place(position(time), speed, jnp.arctan2(speed[1], speed[0]), turning)
 
 
+@routes.add("lane")
 class Lane(AbstractRoute):
     r"""A straight, a clothoid into a curve, the curve, a clothoid out of it, and a straight.
 
-    The curvature is a trapezoid in time; the heading is its integral, exactly, and the position
-    that of the heading's direction by Gauss's rule with 8 points for each of the five pieces.
+    The curvature is a trapezoid in time: whole from ``begin`` to ``end``, with a ``ramp``
+    before and another after. The heading is its integral, exactly, and the position that of
+    the heading's direction by Gauss's rule with 8 points for each of the five pieces.
 
     Source: R. Rajamani, "Vehicle Dynamics and Control", 2nd ed., 2012, section 2.5 (curvature
     as the input of the lateral error dynamics).
@@ -221,7 +228,7 @@ class Lane(AbstractRoute):
 
     def _knots(self) -> Float[Array, "4"]:
         begin, end = jnp.asarray(self.begin), jnp.asarray(self.end)
-        return jnp.stack([begin, begin + self.ramp, end - self.ramp, end])
+        return jnp.stack([begin - self.ramp, begin, end, end + self.ramp])
 
     def _heading(self, time: Scalar) -> Float[Array, ""]:
         """The integral of the trapezoid: exact by the middle of each piece, as it is linear."""
@@ -246,6 +253,30 @@ class Facing(AbstractRoute):
 
 _TRAPEZOID: Any = np.array([0.0, 1.0, 1.0, 0.0])
 PROFILES = ("trapezoid", "sharp", "fillet")
+
+
+@routes.add("rectangle")
+class Rectangle(AbstractRoute):
+    """A rectangle as :func:`rectangle` makes it, lap after lap."""
+
+    width: float = eqx.field(static=True, default=20.0)  # m
+    height: float = eqx.field(static=True, default=10.0)  # m
+    lap: float = eqx.field(static=True, default=100.0)  # s
+    profile: str = eqx.field(static=True, default="trapezoid")
+    acceleration: float = eqx.field(static=True, default=0.3)  # m/s^2
+    radius: float = eqx.field(static=True, default=1.0)  # m
+
+    def __check_init__(self):
+        self.driven()
+
+    def driven(self) -> AbstractRoute:
+        """The waypoints or arcs that it is made of."""
+        return rectangle(
+            self.width, self.height, self.lap, self.profile, self.acceleration, self.radius
+        )
+
+    def at(self, time: Scalar) -> Place:
+        return self.driven().at(time)
 
 
 def rectangle(
