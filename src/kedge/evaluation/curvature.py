@@ -103,7 +103,8 @@ def judge(
             side = "lower" if shape.blocks[:, i].sum() > 0 else "upper"
             found.append(Judgement(np.nan, (np.nan, np.nan), False, f"no: at its {side} bound"))
             continue
-        clear = bool(np.sqrt(inverse[i]) <= VAGUE)
+        width = max(np.sqrt(inverse[i]), errors[i] if logarithmic[i] else 0.0)
+        clear = bool(width <= VAGUE)
         error = float(errors[i] * (1.0 if logarithmic[i] else shape.scale[i]))
         ends = values[i] + 1.96 * error * np.array([-1.0, 1.0])
         if logarithmic[i]:

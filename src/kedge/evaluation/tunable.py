@@ -1,6 +1,8 @@
 """The numbers of a rig that can be tuned: where each stands, and whether it is noise."""
 
 import dataclasses
+import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_type_hints
 
@@ -127,7 +129,7 @@ def _of_vehicle(rig: Rig) -> list[Tunable]:
 def _of_sensors(rig: Rig) -> list[Tunable]:
     found = []
     for index, own in enumerate(rig.sensors):
-        at, key = ("sensors", index), f"sensors.{own.name}"
+        at, key = ("sensors", index), f"sensors.{_quoted(own.name)}"
         found += [
             Tunable(f"{key}.parameters.{name}", (*at, "sensor", name), value, unit, False)
             for name, value, unit in _numbers(own.sensor)
@@ -140,6 +142,11 @@ def _of_sensors(rig: Rig) -> list[Tunable]:
                 )
         found.append(Tunable(f"{key}.latency", (*at, "latency"), own.latency, "s", False))
     return found
+
+
+def _quoted(name: str) -> str:
+    """A part of a dotted key, as TOML wants it."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _numbers(model: Any) -> list[tuple[str, float, str]]:

@@ -110,12 +110,20 @@ def flatten(scores: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, 
 
 def as_toml(table: Mapping[str, Any], prefix: str = "") -> str:
     """A resolved configuration as TOML: plain values first, then a table for each mapping."""
-    lines = [f"{k} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, Mapping)]
+    lines = [
+        f"{_key(k)} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, Mapping)
+    ]
     for key, value in table.items():
         if isinstance(value, Mapping) and value:
-            lines += ["", f"[{prefix}{key}]"] if _has_plain(value) else []
-            lines.append(as_toml(value, f"{prefix}{key}."))
+            lines += ["", f"[{prefix}{_key(key)}]"] if _has_plain(value) else []
+            lines.append(as_toml(value, f"{prefix}{_key(key)}."))
     return "\n".join(lines).strip("\n") + ("" if prefix else "\n")
+
+
+def _key(name: str) -> str:
+    """A key as TOML wants it: quoted unless it is a bare word."""
+    bare = name.isascii() and name.replace("_", "a").replace("-", "a").isalnum()
+    return name if bare else json.dumps(name)
 
 
 def _has_plain(table: Mapping[str, Any]) -> bool:

@@ -1,0 +1,226 @@
+"""The work behind ``kedge tune``: find numbers of a rig, judge them on the rest of the log."""
+
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kedge import __version__
+from kedge.apps.console import progress
+from kedge.apps.workflow import load, settings, use_compilation_cache
+from kedge.core.errors import ConfigError, DataError
+from kedge.estimation.batch import estimate
+from kedge.evaluation.score import score
+from kedge.evaluation.style import save_png, svg_of
+from kedge.evaluation.tunable import choose
+from kedge.evaluation.tuning import Search, Tuned, tune
+from kedge.evaluation.tuning_report import draw_profiles, parameter_rows, part_scores
+from kedge.files.atomic import fresh_folder
+from kedge.files.filters import build_filter
+from kedge.files.problem import Problem, load_problem
+from kedge.files.results import as_toml, plain, write_summary
+
+MOST_HELD_OUT = 0.9
+
+
+class Options(NamedTuple):
+    """What was asked for."""
+
+    filter: str | None = None
+    parameters: str | None = None
+    with_truth: bool = False
+    hold_out: float = 0.5
+    """Share of the log, at its end, that is not tuned on."""
+    starts: int = 4
+    span: float = 1000.0
+    bounds: Sequence[str] = ()
+    until: float | None = None
+    seed: int = 0
+    changes: Sequence[str] | None = None
+    figure: bool = True
+
+
+def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
+    """Tune, judge, write the folder; return the summary.
+
+    Raises:
+        KedgeError: the rig, the log or an option cannot be used; nothing is left.
+    """
+    if not 0 <= options.hold_out <= MOST_HELD_OUT:
+        raise ConfigError(
+            f"--hold-out: found {options.hold_out:g}, expected a share from 0 to "
+            f"{MOST_HELD_OUT:g}"
+        )
+    names = None if options.parameters is None else split_list(options.parameters)
+    bounds = parse_bounds(options.bounds)
+    use_compilation_cache()
+    problem = load(rig, log, "auto", options.until, options.changes)
+    spec = options.filter or problem.filter
+    filter = build_filter(spec)
+    if options.with_truth and problem.truth is None:
+        raise DataError(f"{log}: --with-truth: the log has no truth")
+    chosen = choose(problem.rig, names)
+    known = {t.key for t in chosen}
+    bounds = {_completed(name, known): ends for name, ends in bounds.items()}
+    search = Search(options.starts, options.span, bounds, options.seed)
+    duration = float(problem.recording.log.schedule.time[-1])
+    until = duration * (1 - options.hold_out)
+    with fresh_folder(out, "tune.json") as folder, progress() as say:
+        truth = problem.truth if options.with_truth else None
+        tuned = tune(filter, problem.rig, problem.recording, chosen, truth, until, search, say)
+        say("scores")
+        overrides = settings(options.changes) | {"filter.name": f'"{spec}"'}
+        overrides |= {t.key: repr(float(v)) for t, v in zip(chosen, tuned.values, strict=True)}
+        after = load_problem(rig, log, "auto", options.until, overrides)
+        scores = {
+            name: _scores(name, spec, found, until, duration)
+            for name, found in (("start", problem), ("tuned", after))
+        }
+        summary = summarise(problem, tuned, options, spec, until, scores)
+        write_summary(folder / "tune.json", summary)
+        (folder / "tuned.toml").write_text(tuned_rig(rig, after), encoding="utf-8")
+        figure = draw_profiles(tuned) if options.figure else None
+        if figure is not None:
+            (folder / "profile.svg").write_text(svg_of(figure), encoding="utf-8")
+            save_png(figure, folder / "profile.png")
+    return plain(summary)
+
+
+def summarise(
+    problem: Problem,
+    tuned: Tuned,
+    options: Options,
+    filter: str,
+    until: float,
+    scores: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What goes into ``tune.json``."""
+    return {
+        "command": "tune",
+        "arguments": sys.argv[1:],
+        "version": __version__,
+        "platform": f"Python {platform.python_version()}, {platform.machine()}",
+        "title": problem.title,
+        "filter": filter,
+        "criterion": "truth" if options.with_truth else "innovations",
+        "tuned_until": until,
+        "seed": options.seed,
+        "parameters": parameter_rows(tuned),
+        "flat": list(tuned.flat),
+        "loss": {
+            "start": tuned.loss_before,
+            "tuned": tuned.loss_after,
+            "judged": tuned.judged,
+        },
+        "starts": [
+            {"loss": attempt.loss, "evaluations": attempt.evaluations}
+            for attempt in tuned.attempts
+        ],
+        "agreed": tuned.agreed,
+        "scores": scores,
+        "notes": [*problem.notes, *tuned.notes],
+        "inputs_digest": problem.inputs_digest,
+    }
+
+
+def tuned_rig(rig: str, after: Problem) -> str:
+    """The rig file with the values found; it can be used from any folder."""
+    config = dict(after.config)
+    if modules := config.get("modules"):
+        config["modules"] = [str((Path(rig).parent / name).resolve()) for name in modules]
+    return as_toml(config)
+
+
+def print_tuned(summary: Mapping[str, Any]) -> None:
+    """The table of numbers, what the log says of them, and the scores before and after."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for name in ("parameter", "start", "found", "factor", "std error", "identified"):
+        table.add_column(
+            name, justify="left" if name in ("parameter", "identified") else "right"
+        )
+    for row in summary["parameters"]:
+        factor = row["factor"]
+        table.add_row(
+            row["key"], f"{row['start']:.4g}", f"{row['found']:.4g}",
+            "-" if factor is None else f"{factor:.3g}", _uncertainty(row), row["verdict"],
+        )  # fmt: skip
+    console.print(table)
+    for sentence in summary["flat"]:
+        console.print(f"flat: {sentence}", markup=False, soft_wrap=True)
+    loss = summary["loss"]
+    console.print(
+        f"loss by {'output time' if summary['criterion'] == 'truth' else 'reading'}: "
+        f"{loss['start']:.4g} -> {loss['tuned']:.4g}; {summary['agreed']} of "
+        f"{len(summary['starts'])} starts agree\n"
+    )
+    for part in summary["scores"]["start"]:
+        before, after = (summary["scores"][name][part] for name in ("start", "tuned"))
+        said = [f"{name} {a} -> {b}" for name, a, b in _pairs(before, after)]
+        console.print(f"{part}: {', '.join(said)}", markup=False, soft_wrap=True)
+
+
+def _uncertainty(row: Mapping[str, Any]) -> str:
+    error = row["std_error"]
+    if error is None or error > 10:
+        return "-"
+    return f"{100 * error:.2g} %" if row["of_logarithm"] else f"{error:.2g}"
+
+
+def _pairs(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    found = []
+    for field in before.get("rmse", {}):
+        pair = (scores.get("rmse", {}).get(field) for scores in (before, after))
+        found.append((f"rmse {field}", *("-" if v is None else f"{v:.3g}" for v in pair)))
+    for name in ("nees", "nis"):
+        if f"{name}_dof" in before:
+            pair = (scores.get(name) for scores in (before, after))
+            title = f"{name} (of {before[f'{name}_dof']:.3g})"
+            found.append((title, *("-" if v is None else f"{v:.3g}" for v in pair)))
+    found.append(("fused", str(before["fused"]), str(after["fused"])))
+    return found
+
+
+def split_list(text: str) -> list[str]:
+    """Names with commas between them."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """What ``--bounds`` was given: ``KEY=LOW:HIGH``.
+
+    Raises:
+        ConfigError: one of them is something else.
+    """
+    found = {}
+    for text in texts:
+        key, _, ends = text.partition("=")
+        low, _, high = ends.partition(":")
+        try:
+            found[key.strip()] = float(low), float(high)
+        except ValueError:
+            raise ConfigError(
+                f"--bounds {text!r}: expected KEY=LOW:HIGH, e.g. sensors.gnss.latency=0:0.3"
+            ) from None
+    return found
+
+
+def _completed(name: str, keys: set[str]) -> str:
+    """A bound may name a number by the end of its key, as ``--parameters`` may."""
+    ends = [key for key in keys if key.endswith(f".{name}")]
+    return name if name in keys or len(ends) != 1 else ends[0]
+
+
+def _scores(
+    name: str, filter: str, problem: Problem, until: float, duration: float
+) -> dict[str, Any]:
+    found = estimate(build_filter(filter), problem.rig, problem.recording.log)
+    run = score(name, found, problem.recording, problem.rig, problem.truth)
+    parts = {"tuning": (-1.0, until)}
+    if until < duration:
+        parts["held_out"] = (until, duration + 1.0)
+    return {part: part_scores(run, *ends) for part, ends in parts.items()}
