@@ -9,14 +9,14 @@ from kedge.files.scenarios import load_scenario, shipped_scenarios
 
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_shipped_scenarios_can_be_built(name):
-    config, scenario = load_scenario(name)
+    config, scenario, _ = load_scenario(name)
     assert config.scenario.title
     assert scenario.steps > 0
     assert len(scenario.rig.sensors) == len(config.sensors)
 
 
 def test_what_stands_in_the_file_is_what_is_built():
-    config, scenario = load_scenario("yard", {"scenario.spin_up": "3", "scenario.dt": "0.2"})
+    config, scenario, _ = load_scenario("yard", {"scenario.spin_up": "3", "scenario.dt": "0.2"})
     assert (scenario.duration, scenario.dt, scenario.spin_up) == (60.0, 0.2, 3.0)
     (camera,) = scenario.rig.sensors
     assert (camera.name, camera.rate, camera.targets) == ("camera", 2.0, 3)
@@ -106,3 +106,74 @@ def test_an_unknown_scenario_names_those_that_exist():
         UnknownName, match=r"no scenario called 'yrad' \(did you mean 'yard'\?\)"
     ):
         load_scenario("yrad")
+
+
+WORLD = """
+[scenario]
+title = "a robot"
+source = "made for this test"
+duration = 4.0
+dt = 0.01
+filters = ["extended"]
+[world]
+model = "omnidirectional"
+parameters = { slip = 2.0 }
+[world.route]
+model = "circle"
+facing = [1.0, 0.0]
+parameters = { centre = [1.0, 0.0] }
+[vehicle]
+model = "omnidirectional"
+parameters = { kinematics = "mirrored" }
+[vehicles.kalman]
+model = "omnidirectional"
+parameters = { rule = "forward" }
+[prior]
+std = { position = 0.05, heading = 0.03 }
+"""
+
+
+def test_a_world_with_its_route_and_models_of_filters(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(WORLD)
+    setting = load_scenario(str(path), {"scenario.feedback": "extended"})
+    world = setting.scenario.world
+    assert world.slip == 2.0
+    place = world.route.at(10.0)
+    np.testing.assert_allclose(place.position, [1.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(place.heading, np.pi / 2)
+    assert setting.scenario.rig.vehicle.kinematics == "mirrored"
+    assert setting.vehicles["kalman"].rule == "forward"
+    assert setting.scenario.feedback == "filter"
+    assert setting.scenario.navigator.name == "extended"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("world.model", "omnidirectonal", "did you mean 'omnidirectional'"),
+        ("world.parameters.slip", "much", "found 'much', expected a number"),
+        ("world.parameters.slipp", "1.0", "did you mean 'slip'"),
+        ("world.route.model", "circel", "did you mean 'circle'"),
+        ("world.route.parameters.centre", "1.0", "found 1, expected a list"),
+        ("world.route.model", "waypoints", "points: this key is missing"),
+        ("vehicle.parameters.kinematics", "mirorred", "no kinematics called 'mirorred'"),
+        ("vehicle.parameters.radius", "true", "found True, expected a number"),
+        ("vehicles.kalmann.model", "omnidirectional", "no filters called 'kalmann'"),
+        ("scenario.feedback", "exteded", "did you mean 'extended'"),
+        ("world.model", "lane-keeping", "route: found a Facing, but world"),
+    ],
+)
+def test_what_is_wrong_with_a_world_is_named(tmp_path, key, value, says):
+    path = tmp_path / "robot.toml"
+    path.write_text(WORLD)
+    with pytest.raises(ConfigError, match=says):
+        load_scenario(str(path), {key: value})
+
+
+def test_a_route_that_is_needed_is_asked_for(tmp_path):
+    path = tmp_path / "robot.toml"
+    begin, end = WORLD.index("[world.route]"), WORLD.index("[vehicle]")
+    path.write_text(WORLD[:begin] + WORLD[end:])
+    with pytest.raises(ConfigError, match=r"world\.route: this key is missing"):
+        load_scenario(str(path))

@@ -54,7 +54,8 @@ class Job(NamedTuple):
     def study(self, setting: Setting) -> Study:
         """How the scenario is scored."""
         about = setting.config.scenario
-        return Study(setting.scenario, about.burn_in, about.score, about.start, self.seed)
+        how = about.burn_in, about.score, about.start, self.seed
+        return Study(setting.scenario, *how, setting.vehicles)
 
     def trials(self, say: Say = lambda text: None) -> Trials:
         """Make the study ready to be computed.
@@ -76,9 +77,21 @@ def compute(job: Job, number: int) -> dict[str, np.ndarray]:
         return pack(_trials(job).part(number))
 
 
+def check(job: Job, say: Say) -> None:
+    """See that every filter can run, before anything is computed or sent anywhere.
+
+    Raises:
+        KedgeError: a filter cannot run on the scenario's rig.
+    """
+    trials = _trials(job)
+    trials.say = say
+    trials.prepare()
+
+
 def local(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
     """One batched computation after the other, in this process."""
-    trials = job.trials(say)
+    trials = _trials(job)
+    trials.say = say
     for number in numbers:
         yield number, pack(trials.part(number))
 

@@ -1,8 +1,8 @@
 """Name -> class tables, filled by decorators and found by import.
 
-A module dropped into ``kedge/vehicles``, ``kedge/sensors`` or ``kedge/filters`` is imported
-on first use, and so is every installed entry point of group ``kedge.<family>``. There is no
-list to edit.
+A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters`` or (for worlds
+and routes) ``kedge/simulation`` is imported on first use, and so is every installed entry point
+of group ``kedge.<family>``. There is no list to edit.
 """
 
 import dataclasses
@@ -19,10 +19,10 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """The members of one family."""
+    """The members of one family, defined in the modules of a ``package``."""
 
-    def __init__(self, family: str):
-        self.family = family
+    def __init__(self, family: str, package: str = ""):
+        self.family, self.package = family, package or f"kedge.{family}"
         self._members: dict[str, type[T]] = {}
         self._complete = False
 
@@ -84,9 +84,9 @@ class Registry(Generic[T]):
         if self._complete:
             return
         self._complete = True
-        package = importlib.import_module(f"kedge.{self.family}")
+        package = importlib.import_module(self.package)
         for module in pkgutil.iter_modules(package.__path__):
-            importlib.import_module(f"kedge.{self.family}.{module.name}")
+            importlib.import_module(f"{self.package}.{module.name}")
         for point in entry_points(group=f"kedge.{self.family}"):
             point.load()
 
@@ -101,6 +101,8 @@ def unknown(kind: str, name: str, known: list[str]) -> str:
 vehicles: Registry = Registry("vehicles")
 sensors: Registry = Registry("sensors")
 filters: Registry = Registry("filters")
+worlds: Registry = Registry("worlds", "kedge.simulation")
+routes: Registry = Registry("routes", "kedge.simulation")
 
 make_vehicle = vehicles.make
 make_sensor = sensors.make

@@ -16,9 +16,9 @@ from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 
 from kedge.core.errors import ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
-from kedge.core.registry import Registry, sensors, unknown, vehicles
+from kedge.core.registry import sensors, unknown, vehicles
 from kedge.files.filters import build_filter
-from kedge.files.models import build_model, components, parameters_of
+from kedge.files.models import Parameter, build_model, components, model_complaints
 from kedge.files.plugins import load_modules
 from kedge.files.toml import Strict, read_toml
 from kedge.numerics.losses import Kind, Side
@@ -48,12 +48,12 @@ class VehicleConfig(Strict):
     """The motion model."""
 
     model: str
-    parameters: dict[str, Finite] = {}
+    parameters: dict[str, Parameter] = {}
     slow: dict[str, SlowConfig] = {}
 
     def complaints(self) -> Iterator[str]:
         """Unknown names."""
-        yield from _model_complaints(vehicles, self.model, self.parameters)
+        yield from model_complaints(vehicles, self.model, self.parameters)
 
 
 class ControlConfig(Strict):
@@ -88,7 +88,7 @@ class SensorConfig(Strict):
     target: str | None = None
     map: str | None = None
     ignore_targets: list[str] = []
-    parameters: dict[str, Finite] = {}
+    parameters: dict[str, Parameter] = {}
     latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
     rate: Positive | None = None
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
@@ -100,7 +100,7 @@ class SensorConfig(Strict):
 
     def complaints(self) -> Iterator[str]:
         """Unknown names, and keys that do not go together."""
-        wrong = list(_model_complaints(sensors, self.model, self.parameters))
+        wrong = list(model_complaints(sensors, self.model, self.parameters))
         yield from wrong
         if wrong and wrong[0].startswith("model"):
             return
@@ -263,21 +263,6 @@ def _covariance_complaints(rows: list[list[float]], size: int) -> Iterator[str]:
             f"prior.covariance: not positive definite: found the eigenvalue {least:.6g}, "
             "expected all above 0"
         )
-
-
-def _model_complaints(
-    registry: Registry, name: str, parameters: Mapping[str, float]
-) -> Iterator[str]:
-    try:
-        known = parameters_of(registry.get(name))
-    except UnknownName as error:
-        yield f"model: {error}"
-        return
-    for key, value in parameters.items():
-        if key not in known:
-            yield f"parameters.{key}: {unknown(f'parameter of {name}', key, list(known))}"
-        elif isinstance(known[key], int) and value != int(value):
-            yield f"parameters.{key}: found {value:g}, expected a whole number"
 
 
 def shipped(kind: str) -> list[str]:

@@ -1,10 +1,18 @@
 """Registered models as files name them: their numbers and the parts of their fields."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, get_type_hints
 
+from pydantic import Field
+
+from kedge.core.errors import UnknownName
 from kedge.core.manifolds import Chart, charts_of
+from kedge.core.registry import Registry, unknown
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Parameter = bool | int | Number | str | list[Number] | list[list[Number]]
+"""What a model can be built with."""
 
 
 def parameters_of(cls: type) -> dict[str, int | float]:
@@ -16,11 +24,76 @@ def parameters_of(cls: type) -> dict[str, int | float]:
     }
 
 
-def build_model(cls: type, parameters: Mapping[str, float], **others: Any) -> Any:
+def settings_of(cls: type) -> dict[str, type]:
+    """Everything that a file can set of a model: numbers, words, true or false, lists."""
+    hints, found = get_type_hints(cls, include_extras=True), {}
+    for field in dataclasses.fields(cls):
+        # A traced number needs no default; what else has none says its kind.
+        kind = type(field.default)
+        if field.default is dataclasses.MISSING:
+            hint = hints[field.name]
+            kind = getattr(hint, "__origin__", hint)
+        if kind in (bool, int, float, str, tuple):
+            found[field.name] = kind
+    return found
+
+
+def build_model(cls: type, parameters: Mapping[str, Parameter], **others: Any) -> Any:
     """An instance; numbers from a file become whole where the model's own are."""
-    known = parameters_of(cls)
-    whole = {key: int(v) for key, v in parameters.items() if isinstance(known.get(key), int)}
-    return cls(**(dict(parameters) | whole), **others)
+    kinds = settings_of(cls)
+    fitting = {key: _fitting(value, kinds.get(key)) for key, value in parameters.items()}
+    return cls(**fitting, **others)
+
+
+def model_complaints(
+    registry: Registry, name: str, parameters: Mapping[str, Parameter]
+) -> Iterator[str]:
+    """Unknown names and values of the wrong kind, each as ``key: message``."""
+    try:
+        cls = registry.get(name)
+    except UnknownName as error:
+        yield f"model: {error}"
+        return
+    kinds = settings_of(cls)
+    yield from _value_complaints(name, kinds, parameters)
+    for field in dataclasses.fields(cls):
+        missing = field.default is dataclasses.MISSING and field.name in kinds
+        if missing and field.name not in parameters:
+            yield f"parameters.{field.name}: this key is missing"
+
+
+def _value_complaints(
+    name: str, kinds: Mapping[str, type], parameters: Mapping[str, Parameter]
+) -> Iterator[str]:
+    for key, value in parameters.items():
+        if key not in kinds:
+            yield f"parameters.{key}: {unknown(f'parameter of {name}', key, list(kinds))}"
+        elif not _fits(value, kinds[key]):
+            shown = f"{value:g}" if type(value) in (int, float) else repr(value)
+            yield f"parameters.{key}: found {shown}, expected {KINDS[kinds[key]]}"
+
+
+KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    tuple: "a list of numbers, or of lists of them",
+}
+
+
+def _fits(value: Parameter, kind: type) -> bool:
+    if kind in (int, float) and isinstance(value, int | float):
+        return not isinstance(value, bool) and (kind is float or value == int(value))
+    return type(value) is (list if kind is tuple else kind)
+
+
+def _fitting(value: Any, kind: type | None) -> Any:
+    if isinstance(value, list):
+        return tuple(_fitting(item, None) for item in value)
+    if kind in (int, float):
+        return kind(value)
+    return value
 
 
 def parts(field: str, shape: tuple[int, ...]) -> tuple[str, ...]:

@@ -1,12 +1,15 @@
 """Scenario files: a rig in a simulated world, how it is scored, and what others published."""
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_type_hints
 
 from pydantic import Field
 
 from kedge.core.conditions import parse_condition, parse_term
-from kedge.core.errors import KedgeError
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import ContractError, KedgeError
+from kedge.core.registry import routes, vehicles, worlds
 from kedge.estimation.rig import Rig
 from kedge.files.building import (
     build_installation,
@@ -15,10 +18,19 @@ from kedge.files.building import (
     build_vehicle,
     check_noise,
 )
-from kedge.files.config import AbstractRigConfig, Finite, Positive, load_config, shipped
+from kedge.files.config import (
+    AbstractRigConfig,
+    Finite,
+    Positive,
+    VehicleConfig,
+    load_config,
+    shipped,
+)
 from kedge.files.filters import build_filter
+from kedge.files.models import Parameter, build_model, model_complaints
 from kedge.files.toml import Strict
-from kedge.simulation.scenario import Scenario
+from kedge.simulation.routes import AbstractRoute, Facing
+from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
 
 MOST_STEPS = 1e7
 """More steps than this in one run is a wrong dt rather than a long scenario."""
@@ -33,7 +45,9 @@ class RunsConfig(Strict):
     "time-mean-rms" (mean over analysis times of the root mean square over the state: "rmse.a").
     ``start`` "prior" draws the truth from the prior, and filters start from the prior; with
     "truth" they start from the true state with an error drawn from the prior's covariance.
-    The truth is drawn ``spin_up`` before time 0.
+    The truth is drawn ``spin_up`` before time 0. A guided world is steered by ``feedback``:
+    "none", "truth", "readings", "filter" (each filter of the study in a loop of its own), or
+    one filter by its name.
     """
 
     title: str
@@ -45,6 +59,7 @@ class RunsConfig(Strict):
     runs: Annotated[int, Field(ge=1)] = 100
     seed: Annotated[int, Field(ge=0)] = 0
     start: Literal["prior", "truth"] = "prior"
+    feedback: str = "none"
     score: Literal["pooled", "time-mean-rms"] = "pooled"
     filters: Annotated[list[str], Field(min_length=1)]
 
@@ -63,6 +78,8 @@ class RunsConfig(Strict):
                 f"{self.duration:g} s"
             )
         yield from filter_complaints("filters", self.filters)
+        if self.feedback not in FEEDBACKS:
+            yield from filter_complaints("feedback", [self.feedback])
 
 
 class PublishedConfig(Strict):
@@ -100,10 +117,75 @@ class ClaimConfig(Strict):
         yield from condition_complaints("test", parse_condition, self.test)
 
 
+class RouteConfig(Strict):
+    """Where a world's vehicle ought to be; with ``facing``, its heading towards a point (m)."""
+
+    model: str
+    parameters: dict[str, Parameter] = {}
+    facing: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = None
+
+    def complaints(self) -> Iterator[str]:
+        """Unknown names, and what the route refuses."""
+        wrong = list(model_complaints(routes, self.model, self.parameters))
+        yield from wrong
+        if not wrong:
+            try:
+                self.build()
+            except ContractError as error:
+                yield f"parameters: {error}"
+
+    def build(self) -> AbstractRoute:
+        """The route."""
+        route = build_model(routes.get(self.model), self.parameters)
+        if self.facing is None:
+            return route
+        x, y = self.facing
+        return Facing(route, (x, y))
+
+
+class WorldConfig(Strict):
+    """What really moves, where that is not the rig's own vehicle on its own drive."""
+
+    model: str
+    parameters: dict[str, Parameter] = {}
+    route: RouteConfig | None = None
+
+    def complaints(self) -> Iterator[str]:
+        """Unknown names, a route that is missing or that the world cannot use."""
+        wrong = list(model_complaints(worlds, self.model, self.parameters))
+        yield from wrong
+        if wrong and wrong[0].startswith("model"):
+            return
+        cls = worlds.get(self.model)
+        fields = {field.name: field for field in dataclasses.fields(cls)}
+        if "route" not in fields:
+            if self.route is not None:
+                yield f"route: world {self.model!r} has no route; leave this key out"
+            return
+        if self.route is None:
+            if fields["route"].default is dataclasses.MISSING:
+                yield f"route: this key is missing; world {self.model!r} follows a route"
+            return
+        wanted, found = get_type_hints(cls)["route"], self.route.build()
+        if not isinstance(found, wanted):
+            yield (
+                f"route: found a {type(found).__name__}, but world {self.model!r} follows a "
+                f"{wanted.__name__}"
+            )
+
+    def build(self) -> AbstractWorld:
+        """The world."""
+        others = {} if self.route is None else {"route": self.route.build()}
+        return build_model(worlds.get(self.model), self.parameters, **others)
+
+
 class ScenarioConfig(AbstractRigConfig):
     """A scenario file."""
 
     scenario: RunsConfig
+    world: WorldConfig | None = None
+    vehicles: dict[str, VehicleConfig] = {}
+    """The motion models of filters, by name, that have not the rig's."""
     published: dict[str, PublishedConfig] = {}
     expected: list[ExpectedConfig] = []
     claims: list[ClaimConfig] = []
@@ -130,7 +212,11 @@ class ScenarioConfig(AbstractRigConfig):
                 "prior.from_truth: a scenario has no log to take it from; "
                 'leave this key out (scenario.start = "truth" starts near the truth)'
             )
-        yield from filter_complaints("published", self.published)
+        yield from filter_complaints("published", list(self.published))
+        yield from filter_complaints("vehicles", list(self.vehicles))
+        for name, spec in self.vehicles.items():
+            if spec.slow:
+                yield f"vehicles.{name}.slow: only the rig's vehicle has slow states"
 
 
 class Setting(NamedTuple):
@@ -138,6 +224,8 @@ class Setting(NamedTuple):
 
     config: ScenarioConfig
     scenario: Scenario
+    vehicles: Mapping[str, AbstractVehicle] = {}
+    """The motion models of filters that have not the rig's."""
 
 
 def condition_complaints(key: str, parse: Callable[[str], Any], text: str) -> Iterator[str]:
@@ -194,4 +282,18 @@ def build_setting(config: ScenarioConfig) -> Setting:
     rig = Rig(vehicle, sensors, build_prior(config, bare, vehicle, {}))
     check_noise(config, rig)
     about = config.scenario
-    return Setting(config, Scenario(rig, about.duration, about.dt, about.spin_up))
+    world = None if config.world is None else config.world.build()
+    feedback, navigator = about.feedback, None
+    if feedback not in FEEDBACKS:
+        navigator, feedback = Navigator(build_filter(feedback), feedback), "filter"
+    own = {
+        name: build_model(vehicles.get(spec.model), spec.parameters)
+        for name, spec in config.vehicles.items()
+    }
+    try:
+        scenario = Scenario(
+            rig, about.duration, about.dt, about.spin_up, world, feedback, navigator
+        )
+    except ContractError as error:
+        raise ContractError(f"{config.origin}: {error}") from error
+    return Setting(config, scenario, own)

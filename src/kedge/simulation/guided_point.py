@@ -9,11 +9,13 @@ from jax import lax
 from jaxtyping import Array, Key, PRNGKeyArray
 
 from kedge.core.quantities import Acceleration, Scalar
+from kedge.core.registry import worlds
 from kedge.simulation.routes import AbstractRoute
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
 from kedge.vehicles.constant_velocity import Control, State
 
 
+@worlds.add("guided-point")
 class GuidedPoint(AbstractWorld):
     r"""A point that is blown off its route and led back: the route plus an error.
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Metres, Ratio, Scalar, Seconds, WheelRates
+from kedge.core.registry import worlds
 from kedge.core.rotations import direction, wrap
 from kedge.estimation.rig import Installation
 from kedge.simulation.guidance import follow
@@ -45,6 +46,7 @@ class Draws(NamedTuple):
     misses: Key[Array, "*K"]
 
 
+@worlds.add("omnidirectional")
 class OmniRobot(AbstractGuidedWorld):
     r"""Four commanded wheels that slip, on a route that is followed by what is believed.
 
