@@ -123,7 +123,7 @@ def test_chunks_are_the_same_in_any_order_and_after_a_file(pooled, results):
             (whole.runs, whole.whole, whole.sums, whole.example),
         )
     assert tally.truth["position"].shape == (20, 2)
-    assert tally.readings["gnss"].shape == (5, 2)
+    assert tally.readings["gnss.position"].shape == (5, 2)
 
 
 def test_sums_over_time_agree_with_scores_by_run(pooled, results):

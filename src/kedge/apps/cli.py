@@ -11,6 +11,7 @@ from kedge import __version__
 from kedge.apps.console import (
     Interrupted,
     ThresholdMissed,
+    check_requirements,
     parse_requirements,
     print_filters,
     print_json,
@@ -101,6 +102,7 @@ def estimate(
     problem = load(rig, log, truth, until, set_)
     name = filter or problem.filter
     names = [name, f"{name}+smoother"] if smooth else [name]
+    check_requirements(conditions, names)
     summary = execute(problem, names, out, "estimate", seed, report)
     _finish(summary, out, conditions, as_json)
 
@@ -125,9 +127,9 @@ def compare(
     from kedge.apps.workflow import execute, load
     from kedge.files.filters import split_names
 
-    conditions = parse_requirements(require_ or [])
+    conditions, names = parse_requirements(require_ or []), split_names(filters)
+    check_requirements(conditions, names)
     problem = load(rig, log, truth, until, set_)
-    names = split_names(filters)
     summary = execute(problem, names, out, "compare", seed, report)
     _finish(summary, out, conditions, as_json)
 
@@ -168,7 +170,7 @@ def study(
     given = {} if chunk is None else {"chunk": chunk}
     options = Options(
         out, runs, filters, seed, set_, engine=engine, scheduler=scheduler, shard=shard,
-        resume=resume, force=force, report=report, **given,
+        resume=resume, force=force, report=report, require=conditions, **given,
     )  # fmt: skip
     summary = execute(scenario, options)
     if shard is None:

@@ -122,6 +122,26 @@ def parse_requirements(conditions: Sequence[str]) -> list[tuple[str, str, float]
     return found
 
 
+def check_requirements(
+    conditions: Sequence[tuple[str, str, float]],
+    filters: Sequence[str],
+    scores: Sequence[str] | None = None,
+) -> None:
+    """Refuse what cannot be required, before anything runs.
+
+    Raises:
+        ConfigError: a condition is on a filter that is not to run, or there is no such score.
+    """
+    for name, *_ in conditions:
+        if not any(name.startswith(f"{filter}.") for filter in filters):
+            given = name if "." not in name else name[: name.index(".")]
+            raise ConfigError(
+                f"--require {name}: {unknown('filter in this run', given, list(filters))}"
+            )
+        if scores is not None and name not in scores:
+            raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
+
+
 def require(filters: Mapping[str, Any], conditions: Sequence[tuple[str, str, float]]) -> None:
     """Check conditions against the scores.
 

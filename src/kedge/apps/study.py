@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kedge.apps.console import Interrupted, progress
-from kedge.apps.engines import Job, chosen
-from kedge.apps.study_output import content_of, summary_of, write_study
+from kedge.apps.console import Interrupted, check_requirements, progress
+from kedge.apps.engines import Job, check, chosen
+from kedge.apps.study_output import content_of, score_names, summary_of, write_study
 from kedge.apps.workflow import settings, use_compilation_cache
 from kedge.core.errors import ConfigError, DataError
 from kedge.evaluation.page import require_studio
@@ -39,6 +39,7 @@ class Options(NamedTuple):
     resume: bool = False
     force: bool = False
     report: bool = True
+    require: Sequence[tuple[str, str, float]] = ()
 
 
 def execute(name: str, options: Options) -> dict[str, Any]:
@@ -59,6 +60,10 @@ def execute(name: str, options: Options) -> dict[str, Any]:
     if options.out is None and (shard or options.resume or options.force):
         raise ConfigError("--shard, --resume and --force need a folder: --out DIR")
     job = _job(name, options)
+    if options.require:
+        setting = job.setting()
+        names = score_names(setting, job.study(setting), job.filters)
+        check_requirements(options.require, job.filters, names)
     chunks = range(chunks_of(job.runs, job.chunk))
     mine = list(chunks) if shard is None else list(chunks)[shard[0] - 1 :: shard[1]]
     with tempfile.TemporaryDirectory() as scratch, progress() as say:
@@ -69,6 +74,8 @@ def execute(name: str, options: Options) -> dict[str, Any]:
         left = [number for number in mine if number not in done]
         if done:
             say(f"{len(mine) - len(left)} of {len(mine)} chunks are there already")
+        if left:
+            check(job, say)
         try:
             for count, (number, arrays) in enumerate(engine(job, left, say), 1):
                 folder.save(number, arrays)

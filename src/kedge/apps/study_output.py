@@ -12,11 +12,11 @@ import numpy as np
 
 from kedge import __version__
 from kedge.evaluation.study import Study, plan_of
-from kedge.evaluation.study_claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band
+from kedge.evaluation.study_claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band, look_up
 from kedge.evaluation.study_report import StudyContent
 from kedge.evaluation.study_scores import Result, Tally
-from kedge.evaluation.study_summary import summarise_study, windows
-from kedge.files.results import as_toml, digest, plain, write_summary, write_table
+from kedge.evaluation.study_summary import blank, summarise_study, windows
+from kedge.files.results import as_toml, digest, flatten, plain, write_summary, write_table
 from kedge.files.scenarios import Setting
 
 
@@ -34,7 +34,7 @@ def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyC
     shown = {
         key: value
         for key, value in summary["configuration"].items()
-        if key not in ("claims", "errata", "expected", "published")  # the page has them
+        if key not in ("claims", "errata", "expected", "published", "quoted")  # the page has them
     }
     facts = {
         "command": "kedge " + " ".join(summary["arguments"]),
@@ -66,8 +66,11 @@ def summary_of(
         if spans:
             filters[name]["windows"] = windows(study, plan, result, spans)
     configuration = setting.config.model_dump(mode="json", exclude_none=True)
-    scores = {name: [*result.runs, *result.whole] for name, result in results.items()}
-    parts = {"configuration": digest(configuration), "result": digest(scores)}
+    scores = [
+        digest(name, *map(np.asarray, (*result.runs, *result.whole)))
+        for name, result in results.items()
+    ]
+    parts = {"configuration": digest(configuration), "result": digest(*scores)}
     found = {
         "command": "study",
         "arguments": sys.argv[1:],
@@ -87,6 +90,14 @@ def summary_of(
     return plain(found)
 
 
+def score_names(setting: Setting, study: Study, filters: Sequence[str]) -> list[str]:
+    """Every number that the study will leave, as ``--require`` names it."""
+    found = summary_of(setting, study, {"any": blank(study)}, 1)["filters"]["any"]
+    scores = [name for name, value in flatten(found) if not isinstance(value, str)]
+    published = [f"{name}.published.rmse" for name in setting.config.published]
+    return [f"{name}.{score}" for name in filters for score in scores] + published
+
+
 def _judged(setting: Setting, evidence: Evidence) -> dict[str, Any]:
     """Expected figures and claims with their verdicts, and errata, where a scenario has any."""
     config = setting.config
@@ -99,7 +110,13 @@ def _judged(setting: Setting, evidence: Evidence) -> dict[str, Any]:
     for claim in config.claims:
         verdict, figures = judge(claim.test, evidence)
         claims.append(claim.model_dump() | {"verdict": verdict, "figures": figures})
-    found = {"expected": expected, "claims": claims, "errata": list(config.errata)}
+    quoted = []
+    for entry in config.quoted:
+        here = look_up(entry.score, evidence)
+        ours = {"here": None} if here is None else {"here": here.mean, "here_ci": [*here[1:]]}
+        quoted.append(entry.model_dump() | ours)
+    found = {"quoted": quoted, "expected": expected, "claims": claims}
+    found |= {"errata": list(config.errata)}
     return {key: value for key, value in found.items() if value}
 
 
@@ -141,6 +158,9 @@ def print_study(summary: Mapping[str, Any]) -> None:
         for line in lines:
             console.print(line, markup=False, soft_wrap=True)
 
+    for entry in summary.get("quoted", ()):
+        here = "not here" if entry["here"] is None else f"here {entry['here']:.4g}"
+        say(f"{entry['source']}: {entry['score']} {entry['value']:g}; {here}")
     for band in summary.get("expected", ()):
         mark = {TRUE: "as expected", FALSE: "NOT as expected"}.get(band["verdict"], OPEN)
         say(f"{mark}: {band['score']} {band['figures']}")
@@ -163,12 +183,12 @@ def _shown(value: float | None, form: str = ".3g") -> str:
 
 
 def _write_runs(path: Path, results: Mapping[str, Result]) -> None:
-    """One row a run and filter, for statistics of one's own."""
+    """One row a run and filter, for statistics of one's own; written as they are made."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["filter", "run", "time_mean_rms", "mean_squared_error", "nees"])
-        for name, result in results.items():
-            squared = np.asarray(result.runs.squared).sum(axis=1)
-            columns = (result.runs.time_mean_rms, squared, result.runs.nees)
-            for run, row in enumerate(np.stack(columns, axis=1).tolist()):
-                writer.writerow([name, run, *row])
+        for name, (runs, *_) in results.items():
+            squared = np.asarray(runs.squared).sum(axis=1)
+            columns = np.asarray(runs.time_mean_rms), squared, np.asarray(runs.nees)
+            for run, row in enumerate(zip(*columns, strict=True)):
+                writer.writerow([name, run, *(float(x) if np.isfinite(x) else "" for x in row)])

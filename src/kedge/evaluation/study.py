@@ -134,11 +134,34 @@ class Trials:
         self.plan = plan_of(study)
         self._scenarios = {name: as_arrays(study.scenario_of(name)) for name in filters}
         self._programs: dict[str, Any] = {}
+        self._traced: dict[str, tuple[Any, float]] = {}
 
     @property
     def chunks(self) -> range:
         """The numbers of the chunks."""
         return range(chunks_of(self.runs, self.chunk))
+
+    def prepare(self) -> None:
+        """Trace every filter's program, so that one that cannot run is known before any has.
+
+        Raises:
+            ContractError: a filter cannot run on the rig.
+        """
+        index, shapes = jnp.arange(self.chunk), None
+        for name in self.filters:
+            if name in self._programs or name in self._traced:
+                continue
+            self.say(f"{name}: checking")
+            begin = time.perf_counter()
+            try:
+                if shapes is None or self.study.scenario.each_in_its_loop:
+                    shapes = eqx.filter_eval_shape(lambda n=name: self._truths(n, index))
+                blank: Any = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+                given = self._arguments(name, blank[0], blank[1], index, index >= 0)
+                lowered = measured.lower(*given)
+            except ContractError as error:
+                raise ContractError(f"filter {name!r} cannot run here: {error}") from error
+            self._traced[name] = lowered, time.perf_counter() - begin
 
     def part(self, number: int) -> Part:
         """Simulate the runs of a chunk, and run every filter over each.
@@ -146,27 +169,24 @@ class Trials:
         Raises:
             ContractError: a filter cannot run on the rig.
         """
-        seed, begin = self.study.seed, number * self.chunk
+        begin = number * self.chunk
         index, end = jnp.arange(begin, begin + self.chunk), min(begin + self.chunk, self.runs)
         said = f"runs {begin + 1} to {end} of {self.runs}"
         pieces, first, truth, means = {}, None, None, None
-        for name, filter in self.filters.items():
+        for name in self.filters:
             if truth is None or self.study.scenario.each_in_its_loop:
                 self.say(f"{said}: simulating")
                 truth, means = self._truths(name, index)
             shown_truth = ({}, {}) if number else _first(self.study.scenario, self.plan, truth)
             first = first or shown_truth
-            compiling, key = 0.0, stream(seed, f"filter {name}")
             kept = jnp.arange(self.chunk) < end - begin
-            arguments = (
-                as_arrays(filter), self._scenarios[name], self.plan, truth, means, index, kept,
-                key,
-            )  # fmt: skip
+            arguments, compiling = self._arguments(name, truth, means, index, kept), 0.0
             if name not in self._programs:
                 self.say(f"{name}: compiling")
                 before = time.perf_counter()
-                self._programs[name] = measured.lower(*arguments).compile()
-                compiling = time.perf_counter() - before
+                lowered, tracing = self._traced.pop(name, (None, 0.0))
+                self._programs[name] = (lowered or measured.lower(*arguments)).compile()
+                compiling = tracing + time.perf_counter() - before
             self.say(f"{name}: {said}")
             before = time.perf_counter()
             found = jax.block_until_ready(self._programs[name](*arguments))
@@ -179,6 +199,14 @@ class Trials:
                 settled, whole, sums, seconds, compiling, shown, shown_truth[0]
             )
         return Part(pieces, *(first or ()))
+
+    def _arguments(
+        self, name: str, truth: Any, means: Any, index: Array, kept: Array
+    ) -> tuple[Any, ...]:
+        """Of a filter's program."""
+        filter, scenario = as_arrays(self.filters[name]), self._scenarios[name]
+        key = stream(self.study.seed, f"filter {name}")
+        return filter, scenario, self.plan, truth, means, index, kept, key
 
     def _truths(self, name: str, index: Int[Array, " runs"]) -> tuple[Simulation, Any]:
         """Simulate runs; if a guidance listens to each filter in turn, to the one named."""

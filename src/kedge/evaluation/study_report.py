@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from kedge.core.manifolds import Space, space_of
@@ -118,7 +119,7 @@ def tracks(content: StudyContent) -> list[Track]:
     }
     if not whole or not content.truth:
         return []
-    names = featured(whole)
+    names, loops = featured(whole), content.study.scenario.each_in_its_loop
     for (field, cut), chart in zip(states.slices().items(), states.charts, strict=True):
         if chart.shape != chart.tangent_shape or field not in content.truth:
             continue
@@ -140,6 +141,8 @@ def tracks(content: StudyContent) -> list[Track]:
             columns(content.truth[field]),
             {name: columns(examples[name][field]) for name in names},
             seen,
+            {name: columns(content.results[name].track[field]) for name in names if loops},
+            _route(content, plan.time) if field == "position" else None,
         )
         found.append(track)
     return found
@@ -153,7 +156,12 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
         targets = target_map(content.study.scenario.rig, {})
         axes = plot_plan(where, targets)
         caption = f"The first run in plan, to scale; estimates of {names}."
-        if any(_leaves(path, axes) for path in where.estimates.values()):
+        if where.driven:
+            caption = (
+                "The first run in plan, to scale: where the vehicle went when the guidance "
+                f"believed each filter ({names}); same disturbances, same noise."
+            )
+        if any(_leaves(path, axes) for path in (where.driven or where.estimates).values()):
             caption += " What strays beyond the view is cut off."
         yield Plate("map", "track", caption, axes.figure)
     shown = 0
@@ -163,7 +171,13 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
             label = style.words(states.labels[cut.start + index])
             axes = plot_component(part, index, label)
             what = "in the first run" if part is track else "at the end of the first run"
-            caption = f"Above: {label} {what}. Below: how far readings and estimates are off."
+            shows = f"true {label} in each filter's own loop," if part.driven else f"{label}"
+            off = (
+                "estimates are"
+                if part.driven or not part.seen
+                else "readings and estimates are"
+            )
+            caption = f"Above: {shows} {what}. Below: how far {off} off."
             name = f"{track.name}-{'xyz'[index]}" if cut.stop - cut.start > 1 else track.name
             yield Plate(name, "track", caption, axes[0].figure, shown >= 2)
             shown += 1
@@ -207,6 +221,14 @@ def _over_time(content: StudyContent) -> Iterator[Plate]:
             "what its model does not expect."
         )
         yield Plate("nis", "consistency", caption, axes[0, 0].figure)
+
+
+def _route(content: StudyContent, time: np.ndarray) -> np.ndarray | None:
+    """Where the vehicle was to be, if its world has a route in the plane."""
+    route: Any = getattr(content.study.scenario.world, "route", None)
+    if not hasattr(route, "at"):
+        return None
+    return np.asarray(jax.vmap(lambda at: route.at(at).position)(time))
 
 
 def _leaves(path: np.ndarray, axes: Any) -> bool:

@@ -9,8 +9,8 @@ from scipy.special import stdtrit
 
 from kedge.core.manifolds import Space, space_of
 from kedge.evaluation.consistency import chi_square_interval
-from kedge.evaluation.study import Plan, Study
-from kedge.evaluation.study_scores import Result, RunScores, finite
+from kedge.evaluation.study import Plan, Study, plan_of
+from kedge.evaluation.study_scores import Result, RunScores, TimeSums, finite
 
 BASELINE = "kalman"
 REPLICATES = 2000
@@ -96,6 +96,26 @@ def summarise(study: Study, result: Result) -> dict[str, Any]:
         "seconds_per_run": result.seconds / len(good),
         "compile_seconds": result.compile_seconds,
     }
+
+
+def blank(study: Study) -> Result:
+    """A result of two runs that all came out zero: it has every score's name."""
+    plan, sensors = plan_of(study), len(study.scenario.rig.sensors)
+    size, watches, runs = _states(study).size, len(_watches(study)), 2
+    each = np.zeros(runs)
+    scores = RunScores(
+        time_mean_rms=each,
+        squared=np.zeros((runs, size)),
+        nees=each,
+        coverage=each,
+        nis=np.zeros((runs, sensors)),
+        nis_dof=np.zeros((runs, sensors)),
+        tracked=np.zeros((runs, watches)),
+    )
+    times, readings = len(plan.time), len(plan.sensed)
+    none = np.zeros(readings)
+    sums = TimeSums(np.zeros(()), np.zeros((times, size)), np.zeros(times), none, none, none)
+    return Result(scores, scores, sums, 0.0)
 
 
 def compare(

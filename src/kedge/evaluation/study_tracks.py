@@ -40,37 +40,48 @@ class Track(NamedTuple):
     estimates: Mapping[str, Float[np.ndarray, "K d"]]
     """By filter."""
     seen: Sequence[Seen] = ()
+    driven: Mapping[str, Float[np.ndarray, "K d"]] = {}
+    """In closed loops: the truth of each filter's own."""
+    route: Float[np.ndarray, "K d"] | None = None
+    """Where the vehicle was to be."""
 
 
 @style.styled
 def plot_component(track: Track, index: int, label: str) -> Any:
-    """Draw one component: itself, and below how far readings and estimates lie from truth."""
+    """Draw one component: itself, and below how far readings and estimates lie from truth.
+
+    In closed loops the truth of each filter's loop stands in place of its estimate.
+    """
     factor, symbol = style.shown(track.unit)
     truth = factor * _continuous(track, track.truth[:, index])
     axes = style.subplots(2, 1, 4.6, sharex=True, height_ratios=[1.25, 1])[:, 0]
     upper, lower = axes
-    upper.plot(*envelope(track.time, truth), color=style.color("truth"), lw=2.8, alpha=0.35)
-    upper.lines[-1].set_label("truth")
-    found = lines({name: values[:, index] for name, values in track.estimates.items()})
-    for seen in track.seen:
-        time, values = _thinned(seen.time, factor * seen.values[:, index])
-        true = np.interp(time, track.time, truth)
-        name = f"readings of {style.words(seen.sensor)}"
-        for ax, height in ((upper, values), (lower, values - true)):
-            ax.plot(time, height, ".", color=style.color("target"), ms=2.4, alpha=0.45, mew=0)
-        upper.lines[-1].set_label(name)
-    for line in found:
+    if track.route is not None:
+        _route(upper, track.time, factor * _continuous(track, track.route[:, index]))
+    if not track.driven:
+        upper.plot(*envelope(track.time, truth), color=style.color("truth"), lw=2.8, alpha=0.35)
+        upper.lines[-1].set_label("truth")
+        for seen in track.seen:
+            time, values = _thinned(seen.time, factor * seen.values[:, index])
+            name = f"readings of {style.words(seen.sensor)}"
+            off = values - np.interp(time, track.time, truth)
+            for ax, height in ((upper, values), (lower, off)):
+                ax.plot(time, height, ".", color=style.color("target"), ms=2.4, alpha=0.45)
+                ax.lines[-1].set_markeredgewidth(0)
+            upper.lines[-1].set_label(name)
+    found = _drawn(track)
+    for place, line in enumerate(found):
         error = factor * _deviation(track, line, index)
-        for ax, values, name in ((upper, truth + error, line.label), (lower, error, None)):
+        own = factor * _continuous(track, _truth_of(track, line)[:, index])
+        for ax, values in ((upper, own if track.driven else truth + error), (lower, error)):
             time, kept = envelope(track.time, values)
-            plot_line(ax, line, time, kept, name, False)
+            plot_line(ax, line, time, kept, line.label if ax is upper else None, False)
+            ax.lines[-1].set_linewidth(_width(place, len(found)))
     lower.axhline(0, color=style.color("muted"), lw=0.6)
     upper.set_ylabel(f"{label} ({symbol})")
     lower.set(ylabel=f"{label} − truth\n({symbol})", xlabel=TIME)
-    begin = (
-        0.0 if track.time[0] <= 2 * (track.time[1:2] - track.time[:1]).sum() else track.time[0]
-    )
-    lower.set_xlim(begin, track.time[-1])
+    step = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 0.0
+    lower.set_xlim(0 if track.time[0] < 2 * step else track.time[0], track.time[-1])
     limit = _limit(found, track, index, factor)
     lower.set_ylim(-limit, limit)
     legend(upper, 3, 2)
@@ -79,28 +90,39 @@ def plot_component(track: Track, index: int, label: str) -> Any:
 
 @style.styled
 def plot_plan(track: Track, targets: Mapping[str, Any]) -> Axes:
-    """Draw the first run in plan, with equal scales: truth, readings, estimates, targets."""
+    """Draw the first run in plan, with equal scales: truth, readings, estimates, targets.
+
+    In closed loops: where each filter's loop led the vehicle.
+    """
     points = [track.truth[:, :2], *(where[:, :2] for _, where in targets.values())]
+    points += [] if track.route is None else [track.route[:, :2]]
     low, high = (f(np.concatenate(points), axis=0) for f in (np.nanmin, np.nanmax))
     whole = max(float((high - low).max()), 1e-3)
     half = np.maximum((high - low) / 2, 0.12 * whole) + 0.08 * whole
     low, high = (low + high) / 2 - half, (low + high) / 2 + half
     height = 7.4 * float((high - low)[1] / (high - low)[0]) + 0.9
-    ax = style.given(None, min(max(height, 3.4), 7.4))
-    ax.plot(*track.truth.T[:2], color=style.color("truth"), lw=3.2, alpha=0.3, label="truth")
-    for seen in track.seen:
-        kept = np.linspace(0, len(seen.values) - 1, min(DOTS, len(seen.values))).astype(int)
-        ax.plot(*seen.values[kept].T[:2], ".", color=style.color("target"), mew=0)
-        ax.lines[-1].set(ms=2.6, alpha=0.5, label=f"readings of {style.words(seen.sensor)}")
-    for line in lines({name: values.ravel() for name, values in track.estimates.items()}):
-        path = track.estimates[line.names[0]]
+    ax = style.given(None, min(max(height, 3.4), 7.0))
+    if not track.driven:
+        ax.plot(*track.truth.T[:2], color=style.color("truth"), lw=3.2, alpha=0.3)
+        ax.lines[-1].set_label("truth")
+        for seen in track.seen:
+            _, values = _thinned(seen.time, seen.values)
+            ax.plot(*values.T[:2], ".", color=style.color("target"), mew=0)
+            ax.lines[-1].set(ms=2.6, alpha=0.5, label=f"readings of {style.words(seen.sensor)}")
+    found, paths = _drawn(track), track.driven or track.estimates
+    for place, line in enumerate(found):
+        path = paths[line.names[0]]
         plot_line(ax, line, path[:, 0], path[:, 1], line.label, False)
+        ax.lines[-1].set_linewidth(_width(place, len(found)))
+    if track.route is not None:
+        _route(ax, track.route[:, 0], track.route[:, 1])
     for marker, (sensor, (_, where)) in zip("^DPv*s" * 5, targets.items(), strict=False):
         ax.plot(*where.T[:2], marker, color=style.color("target"), ms=5, ls="none")
         ax.lines[-1].set_label(f"targets of {style.words(sensor)}")
     ends: Any = {"color": style.color("ink"), "ls": "none", "ms": 6, "zorder": 6}
     ax.plot(*track.truth[:1, :2].T, marker="o", mfc=style.color("paper"), label="start", **ends)
-    ax.plot(*track.truth[-1:, :2].T, marker="s", label="end", **ends)
+    if not track.driven:
+        ax.plot(*track.truth[-1:, :2].T, marker="s", label="end", **ends)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.set(xlabel="east, x (m)", ylabel="north, y (m)")
     return legend(ax, 4, 1.4)
@@ -125,7 +147,26 @@ def shown_span(track: Track) -> Track:
         truth=track.truth[begin:],
         estimates={name: values[begin:] for name, values in track.estimates.items()},
         seen=seen,
+        driven={name: values[begin:] for name, values in track.driven.items()},
+        route=None if track.route is None else track.route[begin:],
     )
+
+
+def _drawn(track: Track) -> list[Line]:
+    return lines({name: values.ravel() for name, values in track.estimates.items()})
+
+
+def _width(place: int, count: int) -> float:
+    """The lines below are wider, so that none hides behind its like."""
+    return 1.0 + 0.8 * (count - 1 - place)
+
+
+def _route(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    ax.plot(x, y, color=style.color("ink"), lw=0.8, ls=(0, (3, 2)), label="route", zorder=3)
+
+
+def _truth_of(track: Track, line: Line) -> Float[np.ndarray, "K d"]:
+    return track.driven.get(line.names[0], track.truth)
 
 
 def _continuous(track: Track, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
@@ -140,7 +181,7 @@ def _thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _deviation(track: Track, line: Line, index: int) -> Float[np.ndarray, " K"]:
     """Estimate minus truth, for angles the shorter way round."""
-    error = track.estimates[line.names[0]][:, index] - track.truth[:, index]
+    error = (track.estimates[line.names[0]] - _truth_of(track, line))[:, index]
     return (error + np.pi) % (2 * np.pi) - np.pi if track.unit == "rad" else error
 
 
