@@ -191,5 +191,16 @@ def test_feedback_leads_back_to_the_route(key):
 def test_encoders_that_do_not_fit_the_steps_are_refused():
     with pytest.raises(ContractError, match="encoder_rate is 30 Hz, expected a whole number"):
         schedule(lap(encoder_rate=30.0))
-    with pytest.raises(ContractError, match=r"delay is -0\.1 s, expected 0 or more"):
-        schedule(lap(delay=-0.1))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"delay": -0.1}, r"delay is -0\.1 s, expected 0 or more"),
+        ({"missed": 1.5}, r"missed is 1\.5, expected a share"),
+        ({"radius": 0.0}, r"radius is 0\.0, expected above 0"),
+    ],
+)
+def test_robots_that_cannot_be(given, message):
+    with pytest.raises(ContractError, match=message):
+        OmniRobot(ROUTES["circle"], **given)

@@ -57,7 +57,7 @@ class OmniRobot(AbstractGuidedWorld):
     $\dot\varphi_i (1 - b_i)(1 - s_i - n_i)$: b is one number for a run, n is white (its mean
     over 20 ms has ``white_std``), and s is lost in slip events, which begin as a Poisson
     process, last for an exponential time and lose a share between two bounds; a new one ends
-    the one before. ``slip`` multiplies b, n and s.
+    the one before. ``slip`` multiplies b, n and the rate of events.
 
     Filters are told of wheel rates: the counts of encoders between two readings of them, and
     both were taken ``delay`` before. Encoders see a wheel spin, not slip. Each count is missed
@@ -87,11 +87,20 @@ class OmniRobot(AbstractGuidedWorld):
     counts: Scalar = 2048.0  # per turn
     missed: Ratio = 0.0
 
+    def __check_init__(self):
+        for name in ("radius", "arm", "counts", "encoder_rate"):
+            if not getattr(self, name) > 0:
+                raise ContractError(f"world: {name} is {getattr(self, name)}, expected above 0")
+        if not 0 <= self.missed <= 1:
+            raise ContractError(f"world: missed is {self.missed}, expected a share from 0 to 1")
+        if not 0 <= self.delay < math.inf:
+            raise ContractError(f"world: delay is {self.delay} s, expected 0 or more")
+
     def hold(self, scenario: Scenario) -> int:
         """From one reading of the encoders to the next.
 
         Raises:
-            ContractError: that is no whole number of steps, or the delay is negative.
+            ContractError: that is no whole number of steps.
         """
         every = round(1 / (self.encoder_rate * scenario.dt))
         if every < 1 or not math.isclose(every * self.encoder_rate * scenario.dt, 1.0):
@@ -99,8 +108,6 @@ class OmniRobot(AbstractGuidedWorld):
                 f"world: encoder_rate is {self.encoder_rate:g} Hz, expected a whole number of "
                 f"steps of {scenario.dt:g} s from one reading to the next"
             )
-        if not 0 <= self.delay < math.inf:
-            raise ContractError(f"world: delay is {self.delay:g} s, expected 0 or more")
         return every
 
     def begin(self, scenario: Scenario, key: PRNGKeyArray) -> tuple[Body, Draws]:
@@ -180,7 +187,7 @@ class OmniRobot(AbstractGuidedWorld):
         keys = jr.split(key, 5)
         bias = self.bias_std * jr.normal(keys[0], (4,))
         white = self.white_std * jnp.sqrt(AVERAGED / dt) * jr.normal(keys[1], (steps, 4))
-        begins = jr.uniform(keys[2], (steps, 4)) < -jnp.expm1(-self.event_rate * dt)
+        begins = jr.uniform(keys[2], (steps, 4)) < -jnp.expm1(-self.slip * self.event_rate * dt)
         losses = jr.uniform(keys[3], (steps, 4), minval=self.least_loss, maxval=self.most_loss)
         lengths = self.event_duration / dt * jr.exponential(keys[4], (steps, 4))
 
@@ -191,7 +198,7 @@ class OmniRobot(AbstractGuidedWorld):
         left = jnp.take_along_axis(lengths, there, axis=0) - (number - latest)
         share = jnp.where(latest < 0, 0.0, jnp.clip(left, 0.0, 1.0))
         events = share * jnp.take_along_axis(losses, there, axis=0)
-        return (1 - self.slip * bias)[None] * (1 - self.slip * (events + white))
+        return (1 - self.slip * bias)[None] * (1 - events - self.slip * white)
 
     def caught(self, key: PRNGKeyArray, counts: Float[Array, "4"]) -> Float[Array, "4"]:
         """The counts without those that were missed."""
