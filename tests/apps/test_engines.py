@@ -59,7 +59,7 @@ def interrupted_after(count, engine):
 
 def test_what_is_done_is_kept_and_gone_on_with(buoy, kedge, tmp_path, monkeypatch):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    chunks = ("--chunk", "3")
+    chunks = ("--chunk", "3", "--no-report")
     code, _, err = kedge("study", buoy, "--out", whole, *chunks)
     assert code == 0, err
 
@@ -82,7 +82,7 @@ def test_what_is_done_is_kept_and_gone_on_with(buoy, kedge, tmp_path, monkeypatc
     assert "2 of 3 chunks are there already" in err
     assert digest(cut) == digest(whole)
 
-    code, _, err = kedge("study", buoy, "--out", cut, "--runs", "2", "--force")
+    code, _, err = kedge("study", buoy, "--out", cut, "--runs", "2", "--force", "--no-report")
     assert code == 0, err
     assert digest(cut) != digest(whole)
     assert len(list((cut / "chunks").iterdir())) == 1
@@ -90,7 +90,7 @@ def test_what_is_done_is_kept_and_gone_on_with(buoy, kedge, tmp_path, monkeypatc
 
 def test_shards_are_merged(buoy, kedge, tmp_path):
     whole, *parts = (tmp_path / name for name in ("whole", "first", "second"))
-    chunks = ("--chunk", "3")
+    chunks = ("--chunk", "3", "--no-report")
     assert kedge("study", buoy, "--out", whole, *chunks)[0] == 0
     code, out, err = kedge("study", buoy, "--out", parts[0], "--shard", "1/2", *chunks)
     assert code == 0, err
@@ -100,7 +100,7 @@ def test_shards_are_merged(buoy, kedge, tmp_path):
     assert "found 2 of 3 chunks; missing: 1;" in err
     assert not (tmp_path / "joined").exists()
     assert kedge("study", buoy, "--out", parts[1], "--shard", "2/2", *chunks)[0] == 0
-    code, _, err = kedge("merge", *parts, "--out", tmp_path / "joined")
+    code, _, err = kedge("merge", *parts, "--out", tmp_path / "joined", "--no-report")
     assert code == 0, err
     assert digest(tmp_path / "joined") == digest(whole)
 
@@ -171,10 +171,9 @@ def test_a_scheduler_that_does_not_answer(buoy, kedge, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_processes_give_the_same_numbers(buoy, kedge, tmp_path):
     whole, spread = tmp_path / "whole", tmp_path / "spread"
-    assert kedge("study", buoy, "--out", whole, "--chunk", "3")[0] == 0
-    code, _, err = kedge(
-        "study", buoy, "--out", spread, "--chunk", "3", "--engine", "processes"
-    )
+    chunks = ("--chunk", "3", "--no-report")
+    assert kedge("study", buoy, "--out", whole, *chunks)[0] == 0
+    code, _, err = kedge("study", buoy, "--out", spread, *chunks, "--engine", "processes")
     assert code == 0, err
     assert digest(spread) == digest(whole)
 
@@ -183,7 +182,7 @@ def test_processes_give_the_same_numbers(buoy, kedge, tmp_path):
 def test_two_dask_workers_one_of_which_dies(buoy, tmp_path, kedge):
     pytest.importorskip("distributed")
     whole, spread = tmp_path / "whole", tmp_path / "spread"
-    chunks = ("--chunk", "1")
+    chunks = ("--chunk", "1", "--no-report")
     assert kedge("study", buoy, "--out", whole, *chunks)[0] == 0
     file = tmp_path / "scheduler.json"
     scheduler = start("scheduler", "--scheduler-file", file, "--port", "0",

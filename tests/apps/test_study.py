@@ -5,6 +5,13 @@ import json
 
 import pytest
 
+from kedge.apps.study_output import score_names, summary_of
+from kedge.evaluation.study import Study, run_study
+from kedge.files.results import flatten
+from kedge.files.scenarios import load_scenario
+from kedge.filters.dead_reckoning import DeadReckoning
+from kedge.filters.kalman import Kalman
+
 SCENARIO = """
 [scenario]
 title = "a buoy"
@@ -51,8 +58,11 @@ def buoy(tmp_path):
 
 def test_it_prints_scores_beside_what_was_published(buoy, kedge, tmp_path):
     out = tmp_path / "out"
-    code, printed, err = kedge("study", buoy, "--out", out)
+    code, printed, err = kedge("study", buoy, "--out", out, "--no-report")
     assert code == 0, err
+    assert sorted(path.name for path in out.iterdir()) == [
+        "chunks", "runs.csv", "study.json", "summary.json", "table.csv"
+    ]  # fmt: skip
     table = printed.splitlines()
     assert table[0] == "a buoy: 3 runs, seed 0"
     assert "published" in table[1]
@@ -100,14 +110,42 @@ def test_it_prints_scores_beside_what_was_published(buoy, kedge, tmp_path):
         (["--set", "scenario.duration"], "expected KEY=VALUE"),
         (["--set", "claims=[{text='a',source='b',test='c'}]"], "claims"),
         (["--set", "vehicle.model=unicycle"], "no field of the state called 'velocity'"),
-        (["--set", "vehicle.model=unicycle", "--set", "prior.std={position=1.0,heading=0.1}"],
-         "needs a linear model"),
+        (["--set", "vehicle.model=unicycle", "--set", "prior.std={position=1.0,heading=0.1}",
+          "--filters", "dead-reckoning,extended,kalman"],
+         "filter 'kalman' cannot run here: the filter 'kalman' needs a linear model"),
+        (["--set", "sensors.gnss.rates=3"], "(did you mean 'rate'"),
+        (["--set", "senors.gnss.rate=3"], "(did you mean 'sensors'"),
+        (["--require", "kalmn.score<=1"],
+         "--require kalmn.score: no filter in this run called 'kalmn' (did you mean 'kalman'"),
+        (["--require", "kalman.rmse.postion<=1"], "(did you mean 'kalman.rmse.position'"),
+        (["--require", "kalman.windows.early.nees<=1"],
+         "no score called 'kalman.windows.early.nees' (did you mean 'kalman.windows."),
+        (["--require", "kalman.score=1"], "expected SCORE<=NUMBER"),
     ],
 )  # fmt: skip
 def test_bad_input(buoy, kedge, tmp_path, options, message):
     out = tmp_path / "out"
     code, printed, err = kedge("study", buoy, "--out", out, *options)
     said = [line for line in err.splitlines() if not line.startswith("[")]
+    assert "simulating" not in err  # nothing is computed before all is known to be right
+    assert "compiling" not in err
     assert (code, printed) == (2, "")
     assert message in said[0]
     assert not out.exists()
+
+
+def test_an_unknown_scenario_is_told_the_nearest(kedge, tmp_path):
+    code, printed, err = kedge("study", "yrd", "--out", tmp_path / "out")
+    assert (code, printed) == (2, "")
+    assert "'yrd'" in err
+    assert "yard" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_score_it_leaves_can_be_required(buoy):
+    setting = load_scenario(str(buoy), {})
+    study = Study(setting.scenario, burn_in=1.0)
+    filters = {"kalman": Kalman(), "dead-reckoning": DeadReckoning()}
+    summary = summary_of(setting, study, run_study(study, filters, 2), 2)
+    left = {k for k, v in flatten(summary["filters"]) if not isinstance(v, str)}
+    assert set(score_names(setting, study, list(filters))) == left
