@@ -184,6 +184,13 @@ def test_ratios_are_paired(pooled, results):
     np.testing.assert_allclose(ratio.upper, ratio.mean + half, atol=0.25 * half)
 
 
+def test_filters_are_judged_by_the_field_that_is_named(pooled, results):
+    found = summarise(pooled._replace(field="velocity"), results["kalman"])
+    assert (found["score_of"], found["score"]) == ("velocity", found["rmse"]["velocity"])
+    with pytest.raises(ConfigError, match="did you mean 'velocity'"):
+        pooled._replace(field="velocty").check()
+
+
 def _runs(squared):
     rows = len(squared)
     once = np.ones(rows)

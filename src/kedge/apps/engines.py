@@ -55,7 +55,7 @@ class Job(NamedTuple):
         """How the scenario is scored."""
         about = setting.config.scenario
         how = about.burn_in, about.score, about.start, self.seed
-        return Study(setting.scenario, *how, setting.vehicles)
+        return Study(setting.scenario, *how, setting.vehicles, about.field)
 
     def trials(self, say: Say = lambda text: None) -> Trials:
         """Make the study ready to be computed.

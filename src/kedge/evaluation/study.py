@@ -21,6 +21,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import space_of
+from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.evaluation.study_measure import Plan, measured
@@ -57,6 +58,9 @@ class Study(NamedTuple):
     ``vehicles`` are the motion models of filters, by name, that have not the rig's. Where a
     guidance listens to each filter in turn, every filter has a truth of its own, with the same
     draws; each is scored in the loop that it closes.
+
+    Filters are judged by ``field`` of the state: its position or whatever comes first, if none
+    is named.
     """
 
     scenario: Scenario
@@ -65,6 +69,7 @@ class Study(NamedTuple):
     start: str = "prior"
     seed: int = 0
     vehicles: Mapping[str, AbstractVehicle] = {}
+    field: str = ""
 
     def check(self) -> None:
         """Refuse what cannot be run.
@@ -75,6 +80,11 @@ class Study(NamedTuple):
         for name, known in (("score", SCORES), ("start", STARTS)):
             if (found := getattr(self, name)) not in known:
                 raise ConfigError(f"{name}: found {found!r}, expected one of {list(known)}")
+        fields = type(self.scenario.rig.prior.mean)._fields
+        if self.field and self.field not in fields:
+            raise ConfigError(
+                f"field: {unknown('field of the state', self.field, list(fields))}"
+            )
         if not 0 <= self.seed < 2**63:
             raise ConfigError(f"seed: found {self.seed}, expected 0 or more, below 2^63")
         if not 0 <= self.burn_in < self.scenario.duration:

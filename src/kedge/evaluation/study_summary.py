@@ -77,7 +77,7 @@ def summarise(study: Study, result: Result) -> dict[str, Any]:
     mean = interval(np.asarray(result.runs.time_mean_rms)[good])
     found = _window(study, result.runs, good)
     if study.score == "pooled":
-        headline = _headline(states)
+        headline = _headline(study)
         score, score_ci = found["rmse"][headline], found["rmse_ci"][headline]
     else:
         headline, score, score_ci = study.score, mean.mean, list(mean[1:])
@@ -304,9 +304,10 @@ def _states(study: Study) -> Space:
     return space_of(type(study.scenario.rig.prior.mean))
 
 
-def _headline(states: Space) -> str:
-    """The field that a filter is judged by: its position, or whatever comes first."""
-    return "position" if "position" in states.slices() else states.cls._fields[0]
+def _headline(study: Study) -> str:
+    """The field that a filter is judged by."""
+    fields = _states(study).cls._fields
+    return study.field or ("position" if "position" in fields else fields[0])
 
 
 def _parts(states: Space) -> dict[str, slice]:

@@ -47,7 +47,8 @@ class RunsConfig(Strict):
     "truth" they start from the true state with an error drawn from the prior's covariance.
     The truth is drawn ``spin_up`` before time 0. A guided world is steered by ``feedback``:
     "none", "truth", "readings", "filter" (each filter of the study in a loop of its own), or
-    one filter by its name.
+    one filter by its name. Filters are judged by ``field`` of the state; if it is not named,
+    by the position or whatever comes first.
     """
 
     title: str
@@ -61,6 +62,7 @@ class RunsConfig(Strict):
     start: Literal["prior", "truth"] = "prior"
     feedback: str = "none"
     score: Literal["pooled", "time-mean-rms"] = "pooled"
+    field: str = ""
     filters: Annotated[list[str], Field(min_length=1)]
 
     def complaints(self) -> Iterator[str]:
@@ -101,6 +103,18 @@ class ExpectedConfig(Strict):
         yield from condition_complaints("score", parse_term, self.score)
         if self.between[0] > self.between[1]:
             yield f"between: found {self.between}, expected the lower end first"
+
+
+class QuotedConfig(Strict):
+    """A figure from the source, to stand beside the same score here."""
+
+    score: str
+    value: Finite
+    source: str
+
+    def complaints(self) -> Iterator[str]:
+        """A score that cannot be understood."""
+        yield from condition_complaints("score", parse_term, self.score)
 
 
 class ClaimConfig(Strict):
@@ -187,6 +201,7 @@ class ScenarioConfig(AbstractRigConfig):
     vehicles: dict[str, VehicleConfig] = {}
     """The motion models of filters, by name, that have not the rig's."""
     published: dict[str, PublishedConfig] = {}
+    quoted: list[QuotedConfig] = []
     expected: list[ExpectedConfig] = []
     claims: list[ClaimConfig] = []
     errata: list[str] = []
