@@ -15,6 +15,7 @@ from kedge.evaluation.score import score
 from kedge.evaluation.style import save_png, svg_of
 from kedge.evaluation.tunable import choose
 from kedge.evaluation.tuning import Search, Tuned, tune
+from kedge.evaluation.tuning_loss import ungated
 from kedge.evaluation.tuning_report import draw_profiles, parameter_rows, part_scores
 from kedge.files.atomic import fresh_folder
 from kedge.files.filters import build_filter
@@ -22,6 +23,8 @@ from kedge.files.problem import Problem, load_problem
 from kedge.files.results import as_toml, plain, write_summary
 
 MOST_HELD_OUT = 0.9
+WORSE = 1.1
+"""By this factor an error must grow to be worth a warning."""
 
 
 class Options(NamedTuple):
@@ -73,11 +76,15 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
         overrides = settings(options.changes) | {"filter.name": f'"{spec}"'}
         overrides |= {t.key: repr(float(v)) for t, v in zip(chosen, tuned.values, strict=True)}
         after = load_problem(rig, log, "auto", options.until, overrides)
+        cases = {"start": problem, "tuned": after}
+        if any(own.gate is not None for own in problem.rig.sensors):
+            cases["tuned_ungated"] = after._replace(rig=ungated(after.rig)[0])
         scores = {
-            name: _scores(name, spec, found, until, duration)
-            for name, found in (("start", problem), ("tuned", after))
+            name: _scores(name, spec, found, until, duration) for name, found in cases.items()
         }
         summary = summarise(problem, tuned, options, spec, until, scores)
+        for warning in summary["warnings"]:
+            print(f"warning: {warning}", file=sys.stderr)
         write_summary(folder / "tune.json", summary)
         (folder / "tuned.toml").write_text(tuned_rig(rig, after), encoding="utf-8")
         figure = draw_profiles(tuned) if options.figure else None
@@ -120,8 +127,30 @@ def summarise(
         "agreed": tuned.agreed,
         "scores": scores,
         "notes": [*problem.notes, *tuned.notes],
+        "warnings": warnings(scores),
         "inputs_digest": problem.inputs_digest,
     }
+
+
+def warnings(scores: Mapping[str, Any]) -> list[str]:
+    """What is worse with the values found than with those of the rig."""
+    found = []
+    for part, before in scores["start"].items():
+        after, name = scores["tuned"][part], part.replace("_", "-")
+        if after["fused"] < 0.95 * before["fused"]:
+            found.append(
+                f"{name} part: with the values found the rig's gates refuse more: "
+                f"{after['fused']} readings are fused, {before['fused']} were before; compare "
+                "the scores without gates, and widen the gates or give them a recovery"
+            )
+        for field, error in before.get("rmse", {}).items():
+            if after["rmse"][field] > WORSE * error:
+                found.append(
+                    f"{name} part: rmse of {field} is {after['rmse'][field]:.3g}, it was "
+                    f"{error:.3g}: noise that is correlated in time or a model that lacks "
+                    "something makes readings look better than they are; try --with-truth"
+                )
+    return found
 
 
 def tuned_rig(rig: str, after: Problem) -> str:
@@ -159,9 +188,10 @@ def print_tuned(summary: Mapping[str, Any]) -> None:
         f"{len(summary['starts'])} starts agree\n"
     )
     for part in summary["scores"]["start"]:
-        before, after = (summary["scores"][name][part] for name in ("start", "tuned"))
-        said = [f"{name} {a} -> {b}" for name, a, b in _pairs(before, after)]
-        console.print(f"{part}: {', '.join(said)}", markup=False, soft_wrap=True)
+        several = {name: parts[part] for name, parts in summary["scores"].items()}
+        said = ", ".join(_said(several))
+        names = " -> ".join(several).replace("_", " ")
+        console.print(f"{part.replace('_', '-')} part ({names}): {said}", soft_wrap=True)
 
 
 def _uncertainty(row: Mapping[str, Any]) -> str:
@@ -171,17 +201,23 @@ def _uncertainty(row: Mapping[str, Any]) -> str:
     return f"{100 * error:.2g} %" if row["of_logarithm"] else f"{error:.2g}"
 
 
-def _pairs(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    found = []
-    for field in before.get("rmse", {}):
-        pair = (scores.get("rmse", {}).get(field) for scores in (before, after))
-        found.append((f"rmse {field}", *("-" if v is None else f"{v:.3g}" for v in pair)))
+def _said(several: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Each score as it was and as it is."""
+    first = next(iter(several.values()))
+    rows: list[tuple[str, tuple[str, ...]]]
+    rows = [(f"rmse {field}", ("rmse", field)) for field in first.get("rmse", {})]
     for name in ("nees", "nis"):
-        if f"{name}_dof" in before:
-            pair = (scores.get(name) for scores in (before, after))
-            title = f"{name} (of {before[f'{name}_dof']:.3g})"
-            found.append((title, *("-" if v is None else f"{v:.3g}" for v in pair)))
-    found.append(("fused", str(before["fused"]), str(after["fused"])))
+        if f"{name}_dof" in first:
+            rows.append((f"{name} (of {first[f'{name}_dof']:.3g})", (name,)))
+    found = []
+    for title, path in [*rows, ("fused", ("fused",))]:
+        values = []
+        for scores in several.values():
+            value: Any = scores
+            for key in path:
+                value = value.get(key, {})
+            values.append(f"{value:.3g}" if isinstance(value, float) else f"{value or '-'}")
+        found.append(f"{title} {' -> '.join(values)}")
     return found
 
 

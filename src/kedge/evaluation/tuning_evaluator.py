@@ -53,7 +53,9 @@ class Evaluator:
         until: float | int,
     ):
         sensors = len(rig.sensors)
-        self.chosen, self.rig = chosen, as_arrays(rig)
+        # Without their values, so that other starts compile nothing anew.
+        self.places = tuple(t._replace(value=0.0) for t in chosen)
+        self.rig = as_arrays(rig)
         self.logarithmic = np.array([t.is_logarithmic for t in chosen])
         self.scale = np.ones(len(chosen))
         self.base = np.array([t.value for t in chosen])
@@ -76,6 +78,7 @@ class Evaluator:
                 raise DataError("truth covers none of the output times that are tuned on")
         self.losses = Losses(as_arrays(filter), tails, known)
         self.judged, self.fused = 0, -1
+        self._kept: tuple[Log, Losses] | None = None
 
     def begin(self, start: Evaluation) -> None:
         """Take the first evaluation as what all others are compared with.
@@ -101,21 +104,13 @@ class Evaluator:
     def __call__(self, point: Float[np.ndarray, " p"]) -> Evaluation:
         """Loss and gradient; the ceiling, level, where other readings are fused."""
         values = self.values(point)
-        later = np.zeros(len(self.rig.sensors))
-        for sensor, index in self.moving.items():
-            later[sensor] = values[index] - self.base[index]
-        order = arranged(self.line, later)
-        losses = self.losses
-        if losses.known is not None:
-            known = losses.known._replace(events=order.outputs)
-            losses = Losses(losses.filter, losses.tails, known)
+        log, losses = self._at(values)
         total, gradient, blocks, fused, judged = jax.tree.map(
             np.asarray,
             _evaluate(
-                as_arrays(losses), self.rig, as_arrays(order.log), jnp.asarray(values),
-                jnp.asarray(self.base), self.chosen,
+                losses, self.rig, log, jnp.asarray(values), jnp.asarray(self.base), self.places
             ),
-        )  # fmt: skip
+        )
         by_coordinate = np.where(self.logarithmic, values, self.scale)
         found = Evaluation(
             float(total),
@@ -129,6 +124,20 @@ class Evaluator:
             nothing = np.zeros_like(found.gradient)
             return found._replace(total=self.ceiling, gradient=nothing)
         return found
+
+    def _at(self, values: Float[np.ndarray, " p"]) -> tuple[Log, Losses]:
+        """The log in the order that these latencies give it, and its losses."""
+        kept = self._kept
+        if kept is None or self.moving:
+            later = np.zeros(len(self.rig.sensors))
+            for sensor, index in self.moving.items():
+                later[sensor] = values[index] - self.base[index]
+            order, losses = arranged(self.line, later), self.losses
+            if losses.known is not None:
+                known = losses.known._replace(events=order.outputs)
+                losses = Losses(losses.filter, losses.tails, known)
+            kept = self._kept = as_arrays((order.log, losses))
+        return kept
 
     def values(self, point: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
         """The numbers at a point."""
@@ -149,18 +158,18 @@ def _evaluate(
     log: Log,
     values: Float[Array, " p"],
     base: Float[Array, " p"],
-    chosen: tuple[Tunable, ...],
+    places: tuple[Tunable, ...],
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Sum of the losses, its gradient, that by block, readings fused, losses counted."""
 
     def of(values: Float[Array, " p"]):
         time = log.schedule.time
-        for index, tunable in enumerate(chosen):
+        for index, tunable in enumerate(places):
             if tunable.latency_of is not None:
                 mine = log.schedule.sensor == tunable.latency_of
                 time = time - jnp.where(mine, values[index] - base[index], 0.0)
         moved = log._replace(schedule=log.schedule._replace(time=time))
-        found, fused = losses(placed(rig, chosen, values), moved)
+        found, fused = losses(placed(rig, places, values), moved)
         return found, (found, fused)
 
     jacobian, (found, fused) = jax.jacfwd(of, has_aux=True)(values)
