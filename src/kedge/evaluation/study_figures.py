@@ -40,36 +40,76 @@ Filters = Mapping[str, Mapping[str, Any]]
 @style.styled
 def plot_scores(filters: Filters, label: str, factor: float | int = 1) -> Axes:
     """Draw every filter's score with its interval, and what was published beside it."""
-    names, looks = list(filters), study_looks(list(filters))
-    ax = style.given(None, 0.75 + 0.25 * max(len(names), 2))
-    values = {name: filters[name]["score"] for name in names}
-    for row, name in enumerate(names):
-        value, ends = values[name], filters[name]["score_ci"]
+    ax = _rows(list(filters), 1)[0]
+    ends = {name: row["score_ci"] for name, row in filters.items()}
+    values = {name: row["score"] for name, row in filters.items()}
+    found = _dots(ax, values, ends, factor)
+    ax.plot([], [], "o", color=style.color("ink"), ms=5, label="here, 95 % interval")
+    published = [(row.get("published") or {}).get("rmse") for row in filters.values()]
+    known = [(factor * value, row) for row, value in enumerate(published) if value is not None]
+    if known:
+        ax.plot(*zip(*known, strict=True), "D", color=style.color("ink"), ms=5)
+        ax.lines[-1].set(mfc=style.color("paper"), label="published")
+    _scale(ax, [*found, *(value for value, _ in known)])
+    ax.set_xlabel(label)
+    return legend(ax, 3)
+
+
+@style.styled
+def plot_tracking(filters: Filters, shown: Mapping[str, tuple[float, str]]) -> Any:
+    """Draw how far from its route each filter's loop led the vehicle, with intervals.
+
+    ``shown`` has, by what was watched, the factor and unit of its axis.
+    """
+    axes = _rows(list(filters), len(shown))
+    for ax, (name, (factor, unit)) in zip(axes, shown.items(), strict=True):
+        values = {n: row["tracking"][name] for n, row in filters.items()}
+        ends = {n: row["tracking_ci"][name] for n, row in filters.items()}
+        _scale(ax, _dots(ax, values, ends, factor))
+        ax.set_xlabel(f"{style.words(name)}, rms" + f" ({unit})" * bool(unit))
+    return axes
+
+
+def _rows(names: Sequence[str], columns: int) -> Any:
+    """Axes with a row for each filter."""
+    height = 0.75 + 0.25 * max(len(names), 2)
+    axes = style.subplots(1, columns, height, sharey=True)[0]
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_ylim(len(names) - 0.4, -0.6)
+    for ax in axes:
+        ax.grid(axis="y", visible=False)
+    return axes
+
+
+def _dots(
+    ax: Axes,
+    values: Mapping[str, float | None],
+    intervals: Mapping[str, Sequence[float | None]],
+    factor: float | int,
+) -> list[float]:
+    """Draw a dot in its interval for each filter that has one; return the dots."""
+    looks, found = study_looks(list(values)), []
+    for row, (name, value) in enumerate(values.items()):
         if value is None:
             continue
-        if None not in ends:
-            low, high = (factor * max(end, 0.0) for end in ends)
-            ax.plot([low, high], [row, row], color=looks[name].color, lw=2.4, alpha=0.45)
+        ends = [factor * max(end, 0.0) for end in intervals[name] if end is not None]
+        if len(ends) == 2:
+            ax.plot(ends, [row, row], color=looks[name].color, lw=2.4, alpha=0.45)
             ax.lines[-1].set_solid_capstyle("butt")
         ax.plot([factor * value], [row], "o", color=looks[name].color, ms=5)
-    ax.plot([], [], "o", color=style.color("ink"), ms=5, label="here, 95 % interval")
-    marks = [(r, (filters[n].get("published") or {}).get("rmse")) for r, n in enumerate(names)]
-    known = [(row, value) for row, value in marks if value is not None]
-    if known:
-        rows, found = zip(*known, strict=True)
-        ax.plot(factor * np.array(found), rows, "D", color=style.color("ink"), ms=5)
-        ax.lines[-1].set(mfc=style.color("paper"), label="published")
-    numbers = [v for v in (*values.values(), *(value for _, value in known)) if v]
-    if numbers and max(numbers) > 5 * min(numbers):
+        found.append(factor * value)
+    return found
+
+
+def _scale(ax: Axes, values: Sequence[float]) -> None:
+    """Logarithmic for scores of different size, from 0 for similar ones, near for the same."""
+    known = [value for value in values if value > 0]
+    if known and max(known) > 5 * min(known):
         ax.set_xscale("log")
-        ax.set_xlim(left=max(ax.get_xlim()[0], factor * min(numbers) / 2))
+        ax.set_xlim(left=max(ax.get_xlim()[0], min(known) / 2))
         _marks(ax.xaxis, ax.get_xlim())
-    else:
+    elif not known or max(known) > 1.3 * min(known):
         ax.set_xlim(left=0)
-    ax.set_yticks(range(len(names)), names)
-    ax.set(ylim=(len(names) - 0.4, -0.6), xlabel=label)
-    ax.grid(axis="y", visible=False)
-    return legend(ax, 3)
 
 
 @style.styled
@@ -91,7 +131,7 @@ def plot_error(curves: Mapping[str, Curves], states: Space, each: bool) -> Any:
                 found = curves[line.names[0]]
                 time, squares = coarse(found.time, found.rmse[name] ** 2)
                 _over_time(ax, line, time, factor * np.sqrt(squares), panel, base)
-            _finish(ax, curves[base].time[-1])
+        _finish(row, curves[base].time[-1])
         row[0].set_ylabel(f"{style.words(name)} RMSE{by}\n({symbol})")
     return _labelled(axes, columns)
 
@@ -108,7 +148,7 @@ def plot_study_nees(curves: Mapping[str, Curves], size: int) -> Any:
             c = known[line.names[0]]
             _over_time(ax, line, *coarse(c.time, c.nees), panel, base)
         _bounds(ax, time[[0, -1]], (np.full(2, bounds[0]), np.full(2, bounds[1])), size)
-        _finish(ax, time[-1])
+    _finish(axes[0], time[-1])
     axes[0, 0].set_ylabel(f"mean NEES (–), {size} is right")
     return _labelled(axes, columns)
 
@@ -130,7 +170,7 @@ def plot_study_nis(curves: Mapping[str, Sequence[NisCurve]], sensors: Sequence[s
                 _over_time(ax, line, c.time, c.nis, panel, base)
             shown = curves[panel.lines[0].names[0]][number]
             _bounds(ax, shown.time, (shown.low, shown.high), 1)
-            _finish(ax, shown.end)
+        _finish(row, curves[base][number].end)
         row[0].set_ylabel(f"mean NIS of {style.words(sensor)}\nby component (–)")
     return _labelled(axes, columns)
 
@@ -189,11 +229,15 @@ def _bounds(ax: Axes, time: Any, ends: tuple[Any, Any], right: float | int) -> N
     ax.axhline(right, color=style.color("muted"), lw=0.6, zorder=1)
 
 
-def _finish(ax: Axes, end: float) -> None:
-    """Time from 0, and enough marks on a logarithmic axis that spans little."""
-    ax.set_xlim(0, end)
-    logarithmic(ax)
-    _marks(ax.yaxis, ax.get_ylim())
+def _finish(row: Sequence[Axes], end: float) -> None:
+    """Time from 0; a logarithmic axis where the curves span much, with enough marks."""
+    limits = [ax.dataLim for ax in row]
+    low, high = min(box.y0 for box in limits), max(box.y1 for box in limits)
+    for ax in row:
+        ax.set_xlim(0, end)
+        if high > 4 * low:
+            logarithmic(ax)
+            _marks(ax.yaxis, ax.get_ylim())
 
 
 def _marks(axis: Any, ends: tuple[float, float]) -> None:

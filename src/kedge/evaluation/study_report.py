@@ -79,6 +79,7 @@ def write_study_report(folder: Path, content: StudyContent) -> Path:
 def study_plates(content: StudyContent) -> Iterator[Plate]:
     """The figures that this study has something to show in, drawn one by one."""
     yield _scores(content)
+    yield from _tracking(content)
     yield from _tracks(content)
     yield from _over_time(content)
     filters = content.summary["filters"]
@@ -106,6 +107,23 @@ def _scores(content: StudyContent) -> Plate:
     if any(row.get("published") for row in filters.values()):
         caption += "; diamonds: as published, by the sources below"
     return Plate("scores", "scores", f"{caption}.", axes.figure)
+
+
+def _tracking(content: StudyContent) -> Iterator[Plate]:
+    """How well each filter's loop kept to the route, if the world says."""
+    filters, states = content.summary["filters"], _states(content)
+    units = dict(zip(states.slices(), (states.units[c.start] for c in states.slices().values()),
+                     strict=True))  # fmt: skip
+    names = next(iter(filters.values())).get("tracking", {})
+    if not names or not content.study.scenario.each_in_its_loop:
+        return
+    shown = {name: style.shown(units[name]) if name in units else (1.0, "") for name in names}
+    axes = figures.plot_tracking(filters, shown)
+    caption = (
+        "Closed loops: how far from its route the vehicle was when the guidance believed each "
+        "filter, with 95\u00a0% intervals over the same disturbances and noise."
+    )
+    yield Plate("tracking", "scores", caption, axes[0].figure)
 
 
 def tracks(content: StudyContent) -> list[Track]:
@@ -165,7 +183,9 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
             caption += " What strays beyond the view is cut off."
         yield Plate("map", "track", caption, axes.figure)
     shown = 0
-    for track in [where] if where is not None else found:
+    first = content.summary["score"]["of"]
+    ordered = sorted(found, key=lambda track: (track.name != first, not track.seen))
+    for track in [where] if where is not None else ordered:
         cut, part = states.slices()[track.name], shown_span(track)
         for index in range(min(cut.stop - cut.start, 3)):
             label = style.words(states.labels[cut.start + index])

@@ -18,8 +18,8 @@ else:
 
 DOTS = 1500
 """Of readings: more make the file larger, not the picture clearer."""
-TURNS = 30
-"""How often a truth that swings is shown to cross its middle."""
+TURNS, MOST_TURNS = 30, 100
+"""How often a truth that swings is shown to cross its middle, if it does more than so often."""
 
 
 class Seen(NamedTuple):
@@ -132,7 +132,7 @@ def shown_span(track: Track) -> Track:
     """A truth that swings many times, cut to its last few: else it would be a black band."""
     middle = track.truth[:, 0] - np.median(track.truth[:, 0])
     crossings = np.flatnonzero(np.diff(np.signbit(middle)))
-    if len(crossings) <= 2 * TURNS:
+    if len(crossings) <= MOST_TURNS:
         return track
     begin = int(crossings[-TURNS])
     seen = [
