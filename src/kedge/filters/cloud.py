@@ -26,6 +26,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters, unknown
+from kedge.numerics.branching import whenever
 from kedge.numerics.innovation import innovation
 from kedge.numerics.kernels import bandwidth, shrunk, smeared
 from kedge.numerics.linalg import cholesky, square_root, symmetric
@@ -70,7 +71,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
       kernel, moments kept), of which ``count`` are resampled. That is importance sampling
       from the prior: nothing is inverted, so it serves every sensor, and it finds a start in
       a prior that is wider than the reading by about count times oversampling in volume. It
-      costs its candidates once; in runs batched with ``vmap``, at every update.
+      costs its candidates once, also in a batch of runs that are all found at the same time.
     """
 
     count: int = eqx.field(static=True, default=1000)
@@ -162,7 +163,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         if belief.waiting is None:
             weighed, size = usual()
         else:
-            weighed, size = lax.cond(
+            weighed, size = whenever(
                 belief.waiting,
                 lambda: self._seek(model, belief, measurement, seek_key),
                 usual,
