@@ -51,6 +51,16 @@ def judge(condition: str, evidence: Evidence) -> Judgement:
     return Judgement(whole, "; ".join(one.figures for one in found))
 
 
+def look_up(score: str, evidence: Evidence) -> Interval | None:
+    """A score with its interval; None if these filters do not have it.
+
+    Raises:
+        ConfigError: the score's name cannot be understood.
+    """
+    found = _value(parse_term(score), evidence)
+    return None if isinstance(found, str) else found
+
+
 def judge_band(score: str, low: float, high: float, evidence: Evidence) -> Judgement:
     """Judge whether a score lies where it is expected to.
 
