@@ -126,6 +126,7 @@ def profile(
     point: Float[np.ndarray, " p"],
     shape: Curvature,
     judgements: Sequence[Judgement],
+    box: Float[np.ndarray, "2 p"],
     count: int = 9,
 ) -> dict[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]:
     r"""Twice the rise of the loss along each number that is known, over three standard errors.
@@ -141,7 +142,8 @@ def profile(
         reach = 3 * np.sqrt(inverse[i, i])
         # The column of the inverse is the direction in which all move together.
         way = inverse[:, i] / inverse[i, i]
-        points = [point + share * reach * way for share in np.linspace(-1, 1, count)]
+        shares = reach * np.linspace(-1, 1, count)
+        points = [np.clip(point + share * way, *box) for share in shares]
         rises = [2 * (evaluator(moved).total - least) for moved in points]
         values = [evaluator.values(moved)[i] for moved in points]
         found[tunable.key] = np.array(values), np.array(rises)

@@ -129,7 +129,7 @@ def tune(
         judged=evaluator.judged,
         attempts=tuple(attempts),
         curvature=shape,
-        profiles=profile(evaluator, chosen, point, shape, judgements),
+        profiles=profile(evaluator, chosen, point, shape, judgements, box),
         notes=tuple(notes),
     )
 
