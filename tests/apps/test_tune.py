@@ -5,6 +5,9 @@ import tomllib
 
 import pytest
 
+from kedge.apps.tune import warnings
+from kedge.files.results import as_toml
+
 
 @pytest.fixture
 def tuned(site, kedge):
@@ -75,6 +78,19 @@ def test_truth_is_judged_on_request(site, kedge):
     assert not (site / "out" / "profile.svg").exists()
 
 
+def test_what_became_worse_is_said():
+    good = {"fused": 100, "rmse": {"position": 0.1, "heading": 0.1}}
+    bad = {"fused": 40, "rmse": {"position": 0.3, "heading": 0.105}}
+    scores = {"start": {"held_out": good}, "tuned": {"held_out": bad}}
+    gates, error, advice = warnings(scores, with_truth=False)
+    assert "held-out part" in gates
+    assert "40 readings are fused, 100 were" in gates
+    assert "rmse of position is 0.3, it was 0.1" in error
+    assert "--with-truth" in advice
+    assert warnings(scores, with_truth=True) == [gates, error]
+    assert warnings({"start": {"held_out": good}, "tuned": {"held_out": good}}, False) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -108,3 +124,8 @@ def test_truth_that_is_not_there_cannot_be_judged(site, kedge):
     code, _, err = kedge("tune", rig, site / "log", "--out", site / "out", "--with-truth")
     assert code == 2
     assert "the log has no truth" in err
+
+
+def test_keys_that_are_no_bare_words_are_quoted():
+    table = {"sensors": {"front camera": {"columns": {"range.m": "r"}, "rate": 2.0}}}
+    assert tomllib.loads(as_toml(table)) == table

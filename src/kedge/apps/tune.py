@@ -127,12 +127,12 @@ def summarise(
         "agreed": tuned.agreed,
         "scores": scores,
         "notes": [*problem.notes, *tuned.notes],
-        "warnings": warnings(scores),
+        "warnings": warnings(scores, options.with_truth),
         "inputs_digest": problem.inputs_digest,
     }
 
 
-def warnings(scores: Mapping[str, Any]) -> list[str]:
+def warnings(scores: Mapping[str, Any], with_truth: bool) -> list[str]:
     """What is worse with the values found than with those of the rig."""
     found = []
     for part, before in scores["start"].items():
@@ -147,9 +147,13 @@ def warnings(scores: Mapping[str, Any]) -> list[str]:
             if after["rmse"][field] > WORSE * error:
                 found.append(
                     f"{name} part: rmse of {field} is {after['rmse'][field]:.3g}, it was "
-                    f"{error:.3g}: noise that is correlated in time or a model that lacks "
-                    "something makes readings look better than they are; try --with-truth"
+                    f"{error:.3g}"
                 )
+    if found and not with_truth:
+        found.append(
+            "errors that are correlated in time, or a model that lacks something, make "
+            "readings look better than they are; try --with-truth"
+        )
     return found
 
 
