@@ -1,4 +1,3 @@
-import html.parser
 import re
 import sys
 
@@ -22,38 +21,6 @@ from kedge.simulation.simulate import record
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
-
-VOID = {"meta", "link", "br", "img", "input", "hr"}
-
-
-class Page(html.parser.HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.ids, self.tags, self.said = [], [], [], []
-        self.attributes, self.sections = [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += [(tag, name, value) for name, value in attrs]
-        self.ids += [value for name, value in attrs if name == "id"]
-        if tag == "section":
-            self.sections.append(dict(attrs)["id"])
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "style" not in self.open:
-            self.said.append(data)
 
 
 def content(vehicle, sensors, filters, truth=True, spoil=False):
@@ -117,8 +84,8 @@ def written(drive, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(written):
-    return Page(written.read_text(encoding="utf-8"))
+def page(written, reader):
+    return reader(written.read_text(encoding="utf-8"))
 
 
 def test_it_is_one_file_without_requests(written, page):
@@ -203,9 +170,9 @@ def test_the_same_content_gives_the_same_bytes(written, drive, tmp_path):
         ("unicycle", {}, False, ["errors", "consistency", "verdicts"]),
     ],
 )
-def test_it_leaves_out_what_a_log_has_not(vehicle, sensors, truth, absent, tmp_path):
+def test_it_leaves_out_what_a_log_has_not(vehicle, sensors, truth, absent, tmp_path, reader):
     text = write_report(tmp_path, content(vehicle, sensors, ["extended"], truth)).read_text()
-    page = Page(text)
+    page = reader(text)
     every = {"map", "errors", "states", "consistency", "verdicts", "filters", "configuration"}
     assert set(page.sections) == {f"section-{name}" for name in every - set(absent)}
     assert not re.search(r"\b(nan|NaN|inf|None)\b", " ".join(page.said))

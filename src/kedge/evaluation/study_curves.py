@@ -63,4 +63,5 @@ def nis_curve(plan: Plan, sums: TimeSums, sensor: int) -> NisCurve:
 
 
 def _starts(count: int) -> np.ndarray:
-    return np.arange(0, count, -(-count // BINS))
+    bins = min(BINS, count)
+    return np.arange(bins) * count // max(bins, 1)

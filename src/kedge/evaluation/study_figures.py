@@ -229,7 +229,7 @@ def _bounds(ax: Axes, time: Any, ends: tuple[Any, Any], right: float | int) -> N
     ax.axhline(right, color=style.color("muted"), lw=0.6, zorder=1)
 
 
-def _finish(row: Sequence[Axes], end: float) -> None:
+def _finish(row: Any, end: float) -> None:
     """Time from 0; a logarithmic axis where the curves span much, with enough marks."""
     limits = [ax.dataLim for ax in row]
     low, high = min(box.y0 for box in limits), max(box.y1 for box in limits)
