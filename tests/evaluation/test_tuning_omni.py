@@ -31,7 +31,7 @@ def test_one_lap_tunes_as_well_as_a_hand(example, name):
         assert 2.0 < nees < 4.5
         assert 2.5 < nis < 3.5
     assert guess[2] < 0.5
-    # What the camera scatters by is known well; that wheels and slip enter as a sum is said.
+    # What the camera scatters by is known well.
     by_readings = tuned["innovations"]
     rows = dict(
         zip(
@@ -44,4 +44,6 @@ def test_one_lap_tunes_as_well_as_a_hand(example, name):
         value, judgement = rows[key]
         assert judgement.identified
         assert value == pytest.approx(true, rel=0.15)
-    assert by_readings.flat
+    # On flat ground wheels and slip push the robot alike.
+    pushes = ("wheel_noise", "slip_noise", "turn_noise")
+    assert not all(rows[key][1].identified for key in pushes)
