@@ -40,7 +40,9 @@ def in_a_loop(feedback, filter=None, key=None):
 
 
 @pytest.mark.parametrize(
-    "filter", [ExtendedKalman(), EnsembleKalman(count=6)], ids=["extended", "ensemble"]
+    "filter",
+    [ExtendedKalman(), pytest.param(EnsembleKalman(count=6), marks=pytest.mark.slow)],
+    ids=["extended", "ensemble"],
 )
 def test_the_filter_in_the_loop_is_the_one_that_runs_over_the_log(filter, key):
     """What it steered by is what a pass over the recorded readings finds."""
