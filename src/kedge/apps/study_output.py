@@ -12,7 +12,15 @@ import numpy as np
 
 from kedge import __version__
 from kedge.evaluation.study import Study, plan_of
-from kedge.evaluation.study_claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band, look_up
+from kedge.evaluation.study_claims import (
+    FALSE,
+    OPEN,
+    TRUE,
+    Evidence,
+    judge,
+    judge_band,
+    look_up,
+)
 from kedge.evaluation.study_report import StudyContent
 from kedge.evaluation.study_scores import Result, Tally
 from kedge.evaluation.study_summary import blank, summarise_study, windows
@@ -34,7 +42,8 @@ def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyC
     shown = {
         key: value
         for key, value in summary["configuration"].items()
-        if key not in ("claims", "errata", "expected", "published", "quoted")  # the page has them
+        if key
+        not in ("claims", "errata", "expected", "published", "quoted")  # the page has them
     }
     facts = {
         "command": "kedge " + " ".join(summary["arguments"]),
@@ -127,14 +136,15 @@ def print_study(summary: Mapping[str, Any]) -> None:
 
     score, rows = summary["score"], summary["filters"]
     table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("filter")
+    table.add_column("filter", no_wrap=True)
     published = any(row.get("published") for row in rows.values())
     failed = any(row["failed"] for row in rows.values())
     dof = next(iter(rows.values()))["nees_dof"]
     known = any(row["nees"] is not None for row in rows.values())
     base, several = next(iter(rows.values()))["baseline"], len(rows) > 1
     titles = [score["of"], "95 % interval"] + ["published"] * published
-    titles += [f"x {base}", "95 % interval"] * several
+    against = base if len(base) < 16 else "the first"
+    titles += [f"x {against}", "95 % interval"] * several
     titles += [f"NEES ({dof} right)", "in 95 % bound"] * known
     titles += ["failed runs"] * failed + ["s/run"]
     for title in titles:
@@ -144,10 +154,10 @@ def print_study(summary: Mapping[str, Any]) -> None:
         cells += [_shown((row.get("published") or {}).get("rmse"))] * published
         ratio = [_shown(row["ratio_to_baseline"]), _between(row["ratio_to_baseline_ci"])]
         cells += (["-", "-"] if name == base else ratio) * several
-        cells += [_shown(row["nees"]), _shown(row["coverage_95"], ".0%")] * known
+        cells += [_shown(row["nees"]), _covered(row)] * known
         cells += [str(row["failed"])] * failed + [_shown(row["seconds_per_run"], ".2g")]
         table.add_row(name, *cells)
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    console = Console(width=None if sys.stdout.isatty() else 180, highlight=False)
     console.print(f"{summary['title']}: {summary['runs']} runs, seed {summary['seed']}")
     console.print(table)
     entries = [row["published"] for row in rows.values() if row.get("published")]
@@ -171,6 +181,11 @@ def print_study(summary: Mapping[str, Any]) -> None:
             say(f"  {claim['means']}")
     if summary.get("errata"):
         say("", "errata:", *(f"  {text}" for text in summary["errata"]))
+
+
+def _covered(row: Mapping[str, Any]) -> str:
+    """A share in the 95 % bound; none where the covariance has no inverse."""
+    return "-" if row["nees"] is None else _shown(row["coverage_95"], ".0%")
 
 
 def _between(ends: Sequence[float | None]) -> str:
