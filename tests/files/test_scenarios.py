@@ -177,3 +177,32 @@ def test_a_route_that_is_needed_is_asked_for(tmp_path):
     path.write_text(WORLD[:begin] + WORLD[end:])
     with pytest.raises(ConfigError, match=r"world\.route: this key is missing"):
         load_scenario(str(path))
+
+
+def test_faults_of_a_scenario():
+    spec = (
+        '{ on = "camera", model = "outliers", parameters = { scale = 20.0 }, '
+        "windows = [[10.0, 20.0]], episodes = { rate = 0.2, duration = 2.0 } }"
+    )
+    (fault,) = load_scenario("yard", {"faults.bursts": spec}).scenario.faults
+    assert (fault.name, fault.on, fault.windows) == ("bursts", "camera", ((10.0, 20.0),))
+    assert (fault.kind.scale, fault.episodes.duration) == (20.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ('{ on = "camra", model = "dropout" }',
+         r"faults\.it\.on: no sensor called 'camra' \(did you mean 'camera'"),
+        ('{ on = "camera", model = "dropuot" }', "no faults called 'dropuot' .*'dropout'"),
+        ('{ on = "camera", model = "dropout", parameters = { probability = 2.0 } }',
+         "probability is 2, expected 0 to 1"),
+        ('{ on = "camera", model = "delay", parameters = { dealy = 2.0 } }', "mean 'delay'"),
+        ('{ on = "camera", model = "bias", parameters = { component = "deph" } }',
+         "no component called 'deph'"),
+        ('{ on = "camera", model = "stuck", windows = [[3.0, 2.0]] }', "expected the earlier"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_fault_is_named(spec, says):
+    with pytest.raises(ConfigError, match=says):
+        load_scenario("yard", {"faults.it": spec})

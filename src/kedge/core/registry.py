@@ -1,8 +1,8 @@
 """Name -> class tables, filled by decorators and found by import.
 
-A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters`` or (for worlds
-and routes) ``kedge/simulation`` is imported on first use, and so is every installed entry point
-of group ``kedge.<family>``. There is no list to edit.
+A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters`` or (for worlds,
+routes and faults) ``kedge/simulation`` is imported on first use, and so is every installed
+entry point of group ``kedge.<family>``. There is no list to edit.
 """
 
 import dataclasses
@@ -103,6 +103,7 @@ sensors: Registry = Registry("sensors")
 filters: Registry = Registry("filters")
 worlds: Registry = Registry("worlds", "kedge.simulation")
 routes: Registry = Registry("routes", "kedge.simulation")
+faults: Registry = Registry("faults", "kedge.simulation")
 
 make_vehicle = vehicles.make
 make_sensor = sensors.make

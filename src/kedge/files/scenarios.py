@@ -9,7 +9,8 @@ from pydantic import Field
 from kedge.core.conditions import parse_condition, parse_term
 from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ContractError, KedgeError
-from kedge.core.registry import routes, vehicles, worlds
+from kedge.core.manifolds import space_of
+from kedge.core.registry import faults, routes, sensors, vehicles, worlds
 from kedge.estimation.rig import Rig
 from kedge.files.building import (
     build_installation,
@@ -29,6 +30,7 @@ from kedge.files.config import (
 from kedge.files.filters import build_filter
 from kedge.files.models import Parameter, build_model, model_complaints
 from kedge.files.toml import Strict
+from kedge.simulation.faults import CONTROL, Episodes, Fault, complaint
 from kedge.simulation.routes import AbstractRoute, Facing
 from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
 
@@ -36,6 +38,8 @@ MOST_STEPS = 1e7
 """More steps than this in one run is a wrong dt rather than a long scenario."""
 
 NotNegative = Annotated[Finite, Field(ge=0)]
+Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+"""From, to; s."""
 
 
 class RunsConfig(Strict):
@@ -193,6 +197,43 @@ class WorldConfig(Strict):
         return build_model(worlds.get(self.model), self.parameters, **others)
 
 
+class EpisodesConfig(Strict):
+    """Stretches that begin ``rate`` times a second and last ``duration`` s, in the mean."""
+
+    rate: Positive
+    duration: Positive
+
+    def build(self) -> Episodes:
+        """The episodes."""
+        return Episodes(self.rate, self.duration)
+
+
+class FaultConfig(Strict):
+    """What goes wrong with a sensor, or with what filters are told of the control, and when."""
+
+    on: str
+    model: str
+    parameters: dict[str, Parameter] = {}
+    windows: list[Span] = []
+    episodes: EpisodesConfig | None = None
+
+    def complaints(self) -> Iterator[str]:
+        """Unknown names, and what the fault refuses."""
+        wrong = list(model_complaints(faults, self.model, self.parameters))
+        yield from wrong
+        if not wrong:
+            try:
+                self.build("")
+            except ContractError as error:
+                yield f"parameters: {error}"
+
+    def build(self, name: str) -> Fault:
+        """The fault."""
+        kind = build_model(faults.get(self.model), self.parameters)
+        windows = tuple((begin, end) for begin, end in self.windows)
+        return Fault(name, self.on, kind, windows, self.episodes and self.episodes.build())
+
+
 class ScenarioConfig(AbstractRigConfig):
     """A scenario file."""
 
@@ -206,12 +247,16 @@ class ScenarioConfig(AbstractRigConfig):
     claims: list[ClaimConfig] = []
     errata: list[str] = []
     """Mistakes of the source that matter to who uses it."""
-    windows: dict[str, list[Annotated[list[Finite], Field(min_length=2, max_length=2)]]] = {}
+    faults: dict[str, FaultConfig] = {}
+    windows: dict[str, list[Span]] = {}
     """Stretches of time (from, to; s) that are scored apart, by name."""
 
     def drive_complaints(self, control: Any) -> Iterator[str]:
         """Keys that belong to logs: a scenario drives as its vehicle's ``drive`` says."""
-        del control
+        spaces = {n: space_of(sensors.get(s.model).measures) for n, s in self.sensors.items()}
+        for name, spec in self.faults.items():
+            if wrong := complaint(spec.build(name), {CONTROL: space_of(control)} | spaces):
+                yield f"faults.{name}.{wrong}"
         for name, sensor in self.sensors.items():
             log_keys = ("source", "columns", "target", "ignore_targets", "std", "covariance")
             for key in log_keys:
@@ -307,7 +352,14 @@ def build_setting(config: ScenarioConfig) -> Setting:
     }
     try:
         scenario = Scenario(
-            rig, about.duration, about.dt, about.spin_up, world, feedback, navigator
+            rig,
+            about.duration,
+            about.dt,
+            about.spin_up,
+            world,
+            feedback,
+            navigator,
+            tuple(spec.build(name) for name, spec in config.faults.items()),
         )
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error

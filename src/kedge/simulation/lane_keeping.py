@@ -12,7 +12,6 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.core.quantities import Curvature, Metres, Radians, Scalar, SteeringAngle
 from kedge.core.registry import worlds
-from kedge.core.registry import worlds
 from kedge.numerics.noise import process_std
 from kedge.simulation.guidance import lane_keeper, like, steady_turn
 from kedge.simulation.loop import AbstractGuidedWorld
@@ -35,7 +34,6 @@ class Ahead(NamedTuple):
     """The curvature of the path, whoever knows it."""
 
 
-@worlds.add("lane-keeping")
 @worlds.add("lane-keeping")
 class LaneKeeping(AbstractGuidedWorld):
     r"""The rig's car in its nonlinear form, in the middle of a bending lane or next to it.

@@ -21,8 +21,9 @@ from kedge.estimation.log import SECOND, Readings
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.step import Standing, advance, begin, event_keys, take_in, widest
 from kedge.numerics.linalg import square_root
+from kedge.simulation.faults import Trouble, changed
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
-from kedge.simulation.sensing import sensed, targets_of
+from kedge.simulation.sensing import noise_std, sensed, targets_of
 
 
 class AbstractGuidedWorld(AbstractWorld):
@@ -116,12 +117,14 @@ class _Sensing(NamedTuple):
     sensors: tuple[Installation, ...]
     fires: tuple[Bool[np.ndarray, " K"], ...]
     keys: tuple[Key[Array, " _"], ...]
+    troubles: tuple[tuple[Trouble, ...], ...]
 
     @classmethod
     def of(cls, scenario: Scenario, keys: tuple[Key[Array, " _"], ...]) -> "_Sensing":
         sensors = scenario.rig.sensors[: len(keys)]
         number = np.arange(1, scenario.steps + 1)
-        return cls(sensors, tuple(np.isin(number, scenario.ticks(s)) for s in sensors), keys)
+        fires = tuple(np.isin(number, scenario.ticks(s)) for s in sensors)
+        return cls(sensors, fires, keys, tuple(map(scenario.troubles, sensors)))
 
     def by_block(self, blocks: int, hold: int) -> tuple[np.ndarray, np.ndarray]:
         """Who fires, and the row of its reading; by block, step and sensor."""
@@ -134,7 +137,11 @@ class _Sensing(NamedTuple):
         """What a sensor reads: the same as is recorded of it."""
         installation, keys = self.sensors[place], self.keys[place]
         target = targets_of(installation, len(keys))[row]
-        return Readings(sensed(installation, state, target, keys[row]), target)
+        reading = sensed(installation, state, target, keys[row])
+        if troubles := self.troubles[place]:
+            std = noise_std(installation, state, target)
+            reading = changed(troubles, row, reading, std)
+        return Readings(reading, target)
 
 
 class AbstractListener(eqx.Module):
@@ -197,7 +204,12 @@ class _LastReadings(AbstractListener):
 
     def heard(self, memory: dict, place: int, reading: Readings, time: Scalar) -> dict:
         installation = self.scenario.rig.sensors[place]
-        return memory | self._known(installation, reading.target, reading.measurement)
+        known = self._known(installation, reading.target, reading.measurement)
+        # Of what is missing, it believes what it believed before.
+        return memory | {
+            name: jnp.where(jnp.isnan(value).any(), memory[name], value)
+            for name, value in known.items()
+        }
 
     def _known(self, installation: Installation, target: Any, reading: Any) -> dict:
         fixed = self.world.fix(installation, target, reading)

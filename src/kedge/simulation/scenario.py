@@ -10,8 +10,19 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
+from kedge.core.manifolds import space_of
 from kedge.core.registry import unknown
+from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Installation, Rig
+from kedge.simulation.faults import (
+    CONTROL,
+    AbstractDeliveryFault,
+    AbstractReadingFault,
+    Fault,
+    Trouble,
+    complaint,
+    drawn,
+)
 
 FEEDBACKS = ("none", "truth", "readings", "filter")
 
@@ -82,6 +93,8 @@ class Scenario(eqx.Module):
     The guidance of a world that has one steers by ``feedback``: "none" (it believes that all
     goes as intended), "truth", "readings" (each as it is, until the next) or "filter": its
     ``navigator``, or each filter of a study, which then is judged in a loop of its own.
+
+    ``faults`` change readings in their order, and what filters are told of the control.
     """
 
     rig: Rig
@@ -91,6 +104,9 @@ class Scenario(eqx.Module):
     world: AbstractWorld | None = None
     feedback: str = eqx.field(static=True, default="none")
     navigator: Navigator | None = None
+    faults: tuple[Fault, ...] = ()
+    fault_key: PRNGKeyArray | None = None
+    """From which they are drawn; :func:`kedge.simulation.simulate.simulate` gives a run's."""
 
     def __check_init__(self):
         if not (self.dt > 0 and self.duration >= self.dt):
@@ -113,6 +129,28 @@ class Scenario(eqx.Module):
                 f'scenario: feedback is "{self.feedback}", but nothing is steered here; '
                 'expected "none", or a world with a guidance'
             )
+        if self.faults:
+            self._check_faults()
+
+    def _check_faults(self) -> None:
+        spaces = {CONTROL: space_of(type(self.rig.vehicle.drive(0.0)))}
+        spaces |= {own.name: space_of(own.sensor.measures) for own in self.rig.sensors}
+        names = [fault.name for fault in self.faults]
+        for fault in self.faults:
+            if wrong := complaint(fault, spaces):
+                raise ContractError(f"faults.{fault.name}.{wrong}")
+            if names.count(fault.name) > 1:
+                raise ContractError(f"two faults are called {fault.name!r}; names must differ")
+            by_itself = isinstance(fault.kind, AbstractReadingFault | AbstractDeliveryFault)
+            if self.feedback in ("readings", "filter") and not (
+                by_itself and fault.on != CONTROL
+            ):
+                raise ContractError(
+                    f"faults.{fault.name}: a guidance that hears readings or a filter "
+                    f'(feedback is "{self.feedback}") keeps no earlier readings, and knows its '
+                    "controls; expected a fault that changes each reading by itself, or "
+                    'feedback = "none" or "truth"'
+                )
 
     @property
     def steps(self) -> int:
@@ -129,3 +167,17 @@ class Scenario(eqx.Module):
         rate = installation.rate or installation.sensor.nominal_rate
         every = max(1, round(1 / (rate * self.dt)))
         return np.arange(every, self.steps + 1, every)
+
+    def times(self, installation: Installation) -> np.ndarray:
+        """The stamps of a sensor's readings, in s."""
+        return np.round(self.ticks(installation) * self.dt * SECOND) / SECOND
+
+    def troubles(self, installation: Installation | None) -> tuple[Trouble, ...]:
+        """The faults of a sensor (None: of what is told of the control), drawn for a run."""
+        if installation is None:
+            time = np.round(np.arange(self.steps) * self.dt * SECOND) / SECOND
+            size, on = space_of(type(self.rig.vehicle.drive(0.0))).size, CONTROL
+        else:
+            time, on = self.times(installation), installation.name
+            size = installation.sensor.dof()
+        return drawn(self.faults, on, time, size, self.fault_key)

@@ -1,6 +1,7 @@
 """Synthetic truth and readings: pure in the key, so a whole study can be one traced program."""
 
 import dataclasses
+import zlib
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,7 +27,7 @@ from kedge.estimation.rig import Rig, as_arrays
 from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
 from kedge.simulation.scenario import History, Scenario
-from kedge.simulation.sensing import all_sensed
+from kedge.simulation.sensing import all_sensed, all_told
 
 
 class Simulation(NamedTuple):
@@ -35,7 +36,7 @@ class Simulation(NamedTuple):
     truth: Any
     """The state at the end of every step; leading axis K."""
     controls: Any
-    """The control held during every step; leading axis K."""
+    """The control held during every step, as filters are told of it; leading axis K."""
     readings: tuple[Readings, ...]
     start: Any
     """The state at time 0."""
@@ -44,6 +45,11 @@ class Simulation(NamedTuple):
 def simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     """Draw a true initial state, drive it or let its world do so, and sense it."""
     return _simulate(as_arrays(scenario), key)
+
+
+def fault_key(key: PRNGKeyArray) -> PRNGKeyArray:
+    """The key of a run's faults: apart from all that the run draws without any."""
+    return jr.fold_in(key, zlib.crc32(b"faults"))
 
 
 def schedule(scenario: Scenario, output_rate: float = 10.0) -> Recording:
@@ -92,6 +98,8 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     if pilot is not None and pilot.key is None:
         pilot = dataclasses.replace(pilot, key=filter_key)
         scenario = dataclasses.replace(scenario, navigator=pilot)
+    if scenario.faults:
+        scenario = dataclasses.replace(scenario, fault_key=fault_key(key))
     keys = jr.split(sense_key, max(len(rig.sensors), 1))
     ticks = [scenario.ticks(sensor) for sensor in rig.sensors]
     sensing = tuple(jr.split(k, len(t)) for k, t in zip(keys, ticks, strict=False))
@@ -99,12 +107,14 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
         history = _own(scenario, start_key, drive_key)
     else:
         history = scenario.world.unfold(scenario, drive_key, sensing)
+    dt = scenario.dt
     readings = tuple(
-        all_sensed(sensor, fired, keys, history.path)
+        all_sensed(sensor, fired, keys, history, dt, scenario.troubles(sensor))
         for sensor, fired, keys in zip(rig.sensors, ticks, sensing, strict=True)
     )
+    told = all_told(history.controls, dt, scenario.troubles(None))
     path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
-    return Simulation(path, history.controls, readings, start)
+    return Simulation(path, told, readings, start)
 
 
 def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -> History:

@@ -1,0 +1,231 @@
+"""Faults: what goes wrong with readings, or with what filters are told of the control.
+
+A fault is data: which sensor, which kind, when. Its draws come from its name, so that another
+fault, or the same with other numbers, changes no other draw of a run.
+"""
+
+import abc
+import functools
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from kedge.core.manifolds import Space, space
+from kedge.core.quantities import Scalar, Seconds
+from kedge.core.registry import unknown
+
+CONTROL = "control"
+"""The name that stands for what filters are told of the control."""
+
+
+class When(NamedTuple):
+    """The readings of a sensor, and whether a fault is there."""
+
+    time: Float[Array, " n"]  # s
+    active: Bool[Array, " n"]
+    since: Float[Array, " n"]  # s; how long it has been there
+
+
+class Episodes(eqx.Module):
+    """A Poisson process of stretches that last exponentially; a new one ends the one before."""
+
+    rate: Scalar = 0.1  # 1/s
+    duration: Seconds = 1.0  # in the mean
+
+    def draw(
+        self, key: PRNGKeyArray, time: Float[Array, " n"]
+    ) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
+        """Whether an episode is there at each time, and since when; none is at time 0."""
+        age_key, length_key = jr.split(key)
+        span = jnp.diff(time, prepend=0.0)
+        # Looking back, the latest beginning lies an exponential time ago: exact for any span.
+        age = jr.exponential(age_key, time.shape) / self.rate
+        length = self.duration * jr.exponential(length_key, time.shape)
+        number = jnp.arange(len(time))
+        latest = lax.cummax(jnp.where(age < span, number, -1))
+        there = jnp.maximum(latest, 0)
+        since = jnp.where(latest >= 0, time - (time - age)[there], jnp.inf)
+        return since < length[there], since
+
+
+class AbstractFault(eqx.Module):
+    """One kind of fault."""
+
+
+class AbstractReadingFault(AbstractFault):
+    """What changes each reading by itself; ``component`` is one of its fields or components."""
+
+    component: eqx.AbstractVar[str]
+
+    @abc.abstractmethod
+    def draw(self, key: PRNGKeyArray, when: When, size: int) -> Any:
+        """All that is needed to change each reading; leading axis n."""
+
+    @abc.abstractmethod
+    def change(
+        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
+    ) -> Any:
+        """One reading with the fault, in its chosen components."""
+
+
+class AbstractTimeFault(AbstractFault):
+    """What makes a reading tell of another time than that of its stamp.
+
+    Stamps stay as they are, since all runs of a study share them: what is read changes.
+    """
+
+    @abc.abstractmethod
+    def lag(self, key: PRNGKeyArray, when: When) -> Float[Array, " n"]:
+        """How long before its stamp each reading was taken, in s."""
+
+
+class AbstractHoldingFault(AbstractFault):
+    """What puts an earlier reading in the place of one."""
+
+    @abc.abstractmethod
+    def source(self, when: When) -> Int[Array, " n"]:
+        """The number of the reading that stands in the place of each."""
+
+
+class AbstractDeliveryFault(AbstractFault):
+    """What happens on the way: nothing to what is read, or to its stamp.
+
+    A log is sorted by its stamps, so this concerns who hears messages as they come:
+    :func:`kedge.simulation.delivery.delivered`.
+    """
+
+    @abc.abstractmethod
+    def delays(self, key: PRNGKeyArray, when: When) -> Float[Array, "n 2"]:
+        """How long each message is on its way, and its copy; infinite where there is none."""
+
+
+class Fault(eqx.Module):
+    """A kind of fault on a sensor, and when: in its windows (s), in its episodes, or always."""
+
+    name: str = eqx.field(static=True)
+    on: str = eqx.field(static=True)
+    """The name of a sensor, or "control"."""
+    kind: AbstractFault
+    windows: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
+    episodes: Episodes | None = None
+
+    def when(self, key: PRNGKeyArray, time: Float[np.ndarray, " n"]) -> When:
+        """At which of the times it is there."""
+        active, since = np.ones(len(time), bool), time
+        if self.windows:
+            begin, end = np.array(self.windows).T
+            inside = (time[:, None] >= begin[None]) & (time[:, None] < end[None])
+            active = inside.any(axis=1)
+            since = np.min(np.where(inside, time[:, None] - begin[None], np.inf), axis=1)
+        found = When(jnp.asarray(time), jnp.asarray(active), jnp.asarray(since))
+        if self.episodes is None:
+            return found
+        there, began = self.episodes.draw(key, found.time)
+        return found._replace(
+            active=found.active & there, since=jnp.minimum(found.since, began)
+        )
+
+
+class Trouble(NamedTuple):
+    """A fault, drawn for all readings of its sensor."""
+
+    kind: AbstractFault
+    drawn: Any
+
+
+def drawn(
+    faults: Sequence[Fault],
+    on: str,
+    time: Float[np.ndarray, " n"],
+    size: int,
+    key: PRNGKeyArray | None,
+) -> tuple[Trouble, ...]:
+    """The faults of one sensor with ``size`` components, at the times of its readings."""
+    found = []
+    for fault in faults:
+        if fault.on != on or key is None:
+            continue
+        when_key, own = jr.split(jr.fold_in(key, zlib.crc32(fault.name.encode())))
+        when, kind = fault.when(when_key, time), fault.kind
+        if isinstance(kind, AbstractReadingFault):
+            found.append(Trouble(kind, kind.draw(own, when, size)))
+        elif isinstance(kind, AbstractTimeFault):
+            found.append(Trouble(kind, kind.lag(own, when)))
+        elif isinstance(kind, AbstractHoldingFault):
+            found.append(Trouble(kind, kind.source(when)))
+        elif isinstance(kind, AbstractDeliveryFault):
+            found.append(Trouble(kind, kind.delays(own, when)))
+    return tuple(found)
+
+
+def lags(troubles: Sequence[Trouble]) -> Float[Array, " n"] | None:
+    """How long before its stamp each reading was taken; None if no fault concerns time."""
+    late = [t.drawn for t in troubles if isinstance(t.kind, AbstractTimeFault)]
+    return functools.reduce(jnp.add, late) if late else None
+
+
+def changed(
+    troubles: Sequence[Trouble], row: Int[Array, ""], reading: Any, std: Float[Array, " m"]
+) -> Any:
+    """One reading, number ``row``, after all faults that change it by itself."""
+    for kind, drawn in troubles:
+        if isinstance(kind, AbstractReadingFault):
+            mine = jax.tree.map(lambda leaf: leaf[row], drawn)
+            reading = kind.change(chosen(space(reading), kind.component), reading, mine, std)
+    return reading
+
+
+def all_changed(
+    troubles: Sequence[Trouble], readings: Any, stds: Float[Array, "n m"], alone: Any = ()
+) -> tuple[Any, Any]:
+    """All readings of a sensor after its faults, in their order.
+
+    What is ``alone`` (their targets) is held with them, and not changed otherwise.
+    """
+    rows = jnp.arange(len(stds))
+    for trouble in troubles:
+        if isinstance(trouble.kind, AbstractHoldingFault):
+            held = trouble.drawn
+            readings, alone = jax.tree.map(lambda leaf, i=held: leaf[i], (readings, alone))
+        elif isinstance(trouble.kind, AbstractReadingFault):
+
+            def one(row: Any, reading: Any, std: Any, only: Trouble = trouble) -> Any:
+                return changed([only], row, reading, std)
+
+            readings = jax.vmap(one)(rows, readings, stds)
+    return readings, alone
+
+
+def chosen(outputs: Space, component: str) -> np.ndarray:
+    """Which components are meant by a label, by a field's name, or by "": all."""
+    if component in outputs.slices():
+        cut = outputs.slices()[component]
+        return (np.arange(outputs.size) >= cut.start) & (np.arange(outputs.size) < cut.stop)
+    return np.array([component in ("", label) for label in outputs.labels], bool)
+
+
+def complaint(fault: Fault, spaces: Mapping[str, Space]) -> str | None:
+    """What is wrong with a fault where there are these sensors, as ``key: message``."""
+    if fault.on not in spaces:
+        return f"on: {unknown('sensor', fault.on, list(spaces))}"
+    outputs = spaces[fault.on]
+    if outputs.size == 0:
+        return f"on: nothing is told of a {fault.on} here, so nothing can go wrong with it"
+    if isinstance(fault.kind, AbstractDeliveryFault) and fault.on == CONTROL:
+        return f"on: found {CONTROL!r}, expected a sensor: controls are not sent as messages"
+    component = getattr(fault.kind, "component", "")
+    known = dict.fromkeys([*outputs.slices(), *outputs.labels])
+    if component and component not in known:
+        return f"parameters.component: {unknown('component', component, list(known))}"
+    for begin, end in fault.windows:
+        if not begin < end:
+            return f"windows: found {begin:g} to {end:g} s, expected the earlier first"
+    return None
