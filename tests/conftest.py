@@ -13,8 +13,9 @@ os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / "build" / "jax-cache")
 )
 # Most of a test's time would go into compiling. These options cut it to a quarter; the tests on
-# recorded data run with XLA_FLAGS empty, so they test what XLA optimises as for users. A name
-# that XLA does not know ends the process: versions after the pinned one go without.
+# recorded data and the golden ones run with XLA_FLAGS empty: they compute for long, and so test
+# what XLA optimises as for users. A name that XLA does not know ends the process: versions after
+# the pinned one go without.
 if jax.__version_info__ < (0, 11):
     os.environ.setdefault(
         "XLA_FLAGS",
@@ -61,6 +62,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]):
             parameters = item.callspec.params if hasattr(item, "callspec") else {}
             if "data" in item.fixturenames and "data" not in parameters:
                 item.add_marker("data")
+            if "golden" in item.path.parts:
+                item.add_marker("golden")
             if parameters.get("name") in DEAR and {"contracts", "laws"} & set(item.path.parts):
                 item.add_marker("slow")
         if item.get_closest_marker("gpu") and jax.default_backend() != "gpu":
