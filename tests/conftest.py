@@ -12,10 +12,10 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / "build" / "jax-cache")
 )
-# Most of a test's time would go into compiling. These options cut it to a quarter. The tests on
-# recorded data and the golden ones compute for long; they run with XLA_FLAGS empty, and so test
-# what XLA optimises as for users. A name that XLA does not know ends the process: versions after
-# the pinned one go without.
+# Most of a test's time would go into compiling. These options cut it to a quarter. Golden
+# tests and those on recorded data compute for long: they run with XLA_FLAGS empty, and so test
+# what XLA optimises as for users. A name that XLA does not know ends the process: versions
+# after the pinned one go without.
 if jax.__version_info__ < (0, 11):
     os.environ.setdefault(
         "XLA_FLAGS",
