@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from kedge.core.errors import ContractError
-from kedge.simulation.routes import Circle, Facing, FigureOfEight, Lane, Waypoints, rectangle
+from kedge.simulation.routes import Circle, Facing, FigureOfEight, Lane, Rectangle, Waypoints
 
 SQUARE = ((0.0, 0.0), (0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0), (0.0, 0.0))
 ROUTES = {
-    "trapezoid": rectangle(),
-    "sharp": rectangle(profile="sharp"),
-    "fillet": rectangle(profile="fillet"),
+    "trapezoid": Rectangle(),
+    "sharp": Rectangle(profile="sharp"),
+    "fillet": Rectangle(profile="fillet"),
     "square": Facing(Waypoints(SQUARE, 0.2), (1.0, 0.0)),
     "circle": Facing(Circle((1.0, 0.0)), (1.0, 0.0)),
     "eight": FigureOfEight(),
@@ -36,7 +36,7 @@ def test_velocity_and_yaw_rate_are_the_derivatives(name):
 def test_the_rectangle_of_the_guided_vehicle():
     """Cruise, corners and times of the protocol: 60 / v + 4 v / 0.3 = 100 s."""
     v = 0.65767
-    np.testing.assert_allclose(ROUTES["trapezoid"].speed, v, atol=5e-6)
+    np.testing.assert_allclose(ROUTES["trapezoid"].driven().speed, v, atol=5e-6)
     side = 20 / v + v / 0.3
     times = np.array([0.0, side, side + 10 / v + v / 0.3, side / 2, 99.999])
     found = jax.vmap(ROUTES["trapezoid"].at)(times)
@@ -49,8 +49,8 @@ def test_the_rectangle_of_the_guided_vehicle():
     corner = ROUTES["sharp"].at(50.0)
     np.testing.assert_allclose(corner.position, [20, 10], atol=1e-9)
     np.testing.assert_allclose(corner.velocity, [-0.6, 0], atol=1e-9)
-    np.testing.assert_allclose(ROUTES["fillet"].speed, 0.58283, atol=5e-6)
-    ahead = ROUTES["fillet"].at((18 + np.pi / 2) / ROUTES["fillet"].speed + 1e-9)
+    np.testing.assert_allclose(ROUTES["fillet"].driven().speed, 0.58283, atol=5e-6)
+    ahead = ROUTES["fillet"].at((18 + np.pi / 2) / ROUTES["fillet"].driven().speed + 1e-9)
     np.testing.assert_allclose(ahead.position, [20, 1], atol=1e-8)
     np.testing.assert_allclose(ROUTES["fillet"].at(100.0).position, [1, 0], atol=1e-6)
 
@@ -91,9 +91,12 @@ def test_an_open_list_of_waypoints_ends_in_standing():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: rectangle(profile="round"), "profile is 'round', expected one of trapezoid"),
-        (lambda: rectangle(lap=20.0), r"no speed takes 20 s .* expected at least 56\.57 s"),
-        (lambda: rectangle(profile="fillet", radius=6.0), "radius is 6 m, expected"),
+        (
+            lambda: Rectangle(profile="round"),
+            "no profile called 'round'",
+        ),
+        (lambda: Rectangle(lap=20.0), r"no speed takes 20 s .* expected at least 56\.57 s"),
+        (lambda: Rectangle(profile="fillet", radius=6.0), "radius is 6 m, expected"),
         (lambda: Waypoints(((0.0, 0.0),)), "two or more points"),
         (lambda: Waypoints(SQUARE, 2.0, 0.5), "shortest side has 1 m, expected .* 8 m"),
         (lambda: Waypoints(SQUARE, -1.0), "speed is -1 m/s"),

@@ -8,7 +8,7 @@ import numpy as np
 from kedge.core import registry
 from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle
 from kedge.core.manifolds import charts_of, space, space_of
-from kedge.files.filters import kinds_of
+from kedge.files.filters import parameters_of
 
 
 def describe(cls: type) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def parameters(cls: Any) -> dict[str, dict[str, Any]]:
     """Name to default and unit, for every parameter that a rig can set."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
-    typed = kinds_of(cls) if issubclass(cls, AbstractFilter) else {}
+    typed = parameters_of(cls) if issubclass(cls, AbstractFilter) else {}
     for field in dataclasses.fields(cls):
         default = field.default
         if isinstance(default, AbstractFilter):

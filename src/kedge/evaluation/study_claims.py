@@ -40,11 +40,14 @@ def judge(condition: str, evidence: Evidence) -> Judgement:
 
     A comparison is true if it holds for every value in the interval, false if for none, else
     these runs do not decide it. Errors of two filters are compared in pairs, by the ratio over
-    the same runs. What has no interval, such as time, is taken as it was measured.
+    the same runs. What has no interval, such as time, is taken as it was measured. An empty
+    condition stays open.
 
     Raises:
         ConfigError: the condition cannot be understood.
     """
+    if not condition:
+        return Judgement(OPEN, "this study does not test it")
     found = [_compared(comparison, evidence) for comparison in parse_condition(condition)]
     verdicts = [one.verdict for one in found]
     whole = FALSE if FALSE in verdicts else OPEN if OPEN in verdicts else TRUE

@@ -2,11 +2,12 @@
 
 import ast
 import dataclasses
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.registry import filters, unknown
+from kedge.files.models import kinds_of
 
 
 def build_filter(spec: str) -> AbstractFilter:
@@ -52,7 +53,7 @@ def split_names(names: str) -> list[str]:
 def _build(spec: str, whole: str) -> AbstractFilter:
     name, _, rest = spec.partition(":")
     cls = filters.get(name.strip())
-    known = kinds_of(cls)
+    known = parameters_of(cls)
     given: dict[str, Any] = {}
     for item in split_top(rest) if rest.strip() else ():
         key, equals, text = (part.strip() for part in item.partition("="))
@@ -71,18 +72,14 @@ def _build(spec: str, whole: str) -> AbstractFilter:
         raise ConfigError(f"filter {whole!r}: {error}") from error
 
 
-def kinds_of(cls: type) -> dict[str, type]:
+def parameters_of(cls: type) -> dict[str, type]:
     """What can be typed for each parameter of a filter."""
-    hints = get_type_hints(cls)
-    found = {}
-    for field in dataclasses.fields(cls):
-        kinds = [type(field.default), *get_args(hints[field.name])]
-        if isinstance(field.default, AbstractFilter):
-            found[field.name] = AbstractFilter
-        for kind in (bool, int, float, str):
-            if kind in kinds:
-                found.setdefault(field.name, kind)
-    return found
+    inner = {
+        field.name: AbstractFilter
+        for field in dataclasses.fields(cls)
+        if isinstance(field.default, AbstractFilter)
+    }
+    return inner | kinds_of(cls)
 
 
 def _value(spec: str, key: str, text: str, kind: type) -> Any:

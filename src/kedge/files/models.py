@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 from pydantic import Field
 
@@ -15,32 +15,22 @@ Parameter = bool | int | Number | str | list[Number] | list[list[Number]]
 """What a model can be built with."""
 
 
-def parameters_of(cls: type) -> dict[str, int | float]:
-    """The numbers that a model can be built with, and their defaults."""
-    return {
-        field.name: field.default
-        for field in dataclasses.fields(cls)
-        if isinstance(field.default, int | float) and not isinstance(field.default, bool)
-    }
-
-
-def settings_of(cls: type) -> dict[str, type]:
-    """Everything that a file can set of a model: numbers, words, true or false, lists."""
-    hints, found = get_type_hints(cls, include_extras=True), {}
+def kinds_of(cls: type) -> dict[str, type]:
+    """What can be set of a model as text: numbers, words, true or false, lists."""
+    hints, found = get_type_hints(cls), {}
     for field in dataclasses.fields(cls):
-        # A traced number needs no default; what else has none says its kind.
-        kind = type(field.default)
-        if field.default is dataclasses.MISSING:
-            hint = hints[field.name]
-            kind = getattr(hint, "__origin__", hint)
-        if kind in (bool, int, float, str, tuple):
-            found[field.name] = kind
+        hint = hints[field.name]
+        likely = [type(field.default), getattr(hint, "__origin__", hint), *get_args(hint)]
+        # A default says its kind; what has none is known by its type.
+        kinds = [kind for kind in likely if kind in KINDS]
+        if kinds:
+            found[field.name] = kinds[0]
     return found
 
 
 def build_model(cls: type, parameters: Mapping[str, Parameter], **others: Any) -> Any:
     """An instance; numbers from a file become whole where the model's own are."""
-    kinds = settings_of(cls)
+    kinds = kinds_of(cls)
     fitting = {key: _fitting(value, kinds.get(key)) for key, value in parameters.items()}
     return cls(**fitting, **others)
 
@@ -54,7 +44,7 @@ def model_complaints(
     except UnknownName as error:
         yield f"model: {error}"
         return
-    kinds = settings_of(cls)
+    kinds = kinds_of(cls)
     yield from _value_complaints(name, kinds, parameters)
     for field in dataclasses.fields(cls):
         missing = field.default is dataclasses.MISSING and field.name in kinds

@@ -122,17 +122,23 @@ class QuotedConfig(Strict):
 
 
 class ClaimConfig(Strict):
-    """What somebody states, and the condition on the scores by which it stands or falls."""
+    """What somebody states, and the condition on the scores by which it stands or falls.
+
+    Without a ``test`` these filters at these settings cannot tell; ``means`` says what can.
+    """
 
     text: str
     source: str
-    test: str
+    test: str = ""
     means: str = ""
     """What the test measures, and what follows from its outcome."""
 
     def complaints(self) -> Iterator[str]:
         """A test that cannot be understood."""
-        yield from condition_complaints("test", parse_condition, self.test)
+        if self.test:
+            yield from condition_complaints("test", parse_condition, self.test)
+        elif not self.means:
+            yield "means: this key is missing; a claim without a test says here what decides it"
 
 
 class RouteConfig(Strict):

@@ -63,6 +63,8 @@ def require_differentiable(
     def slope(tangent: Float[Array, " n"]) -> Any:
         return jax.jvp(function, (point,), (tangent,))[1]
 
+    # First, so that a model that cannot be computed at all fails with its own message.
+    value = jax.make_jaxpr(function)(point)
     try:
         derivative = jax.make_jaxpr(slope)(point)
     except (TypeError, ValueError, NotImplementedError) as error:
@@ -70,7 +72,6 @@ def require_differentiable(
             f"{who} needs a derivative that the model has not: {str(error).splitlines()[0]}; "
             f"use {instead}"
         ) from error
-    value = jax.make_jaxpr(function)(point)
     depends = any(_reached(value.jaxpr, [True]))
     if depends and not any(_reached(derivative.jaxpr, [True])):
         raise ContractError(

@@ -35,7 +35,7 @@ def normals(
 
     Two words of 32 bits make u, v in (0, 1), and these
     $\sqrt{-2 \ln u}\,(\cos 2\pi v, \sin 2\pi v)$. What that costs beside 53 random bits a
-    number: numbers lie on $2^{32}$ circles at $2^{32}$ angles, and none beyond 6.7.
+    number: numbers lie on $2^{32}$ circles at $2^{32}$ angles, and none beyond 6.8.
     """
     size = math.prod(shape)
     half = -(-size // 2)

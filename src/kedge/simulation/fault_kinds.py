@@ -35,8 +35,26 @@ def check(fault: Any, low: float | int, high: float | int, *names: str) -> None:
             raise ContractError(f"{name} is {value:g}, expected {bounds}")
 
 
+class AbstractLoss(AbstractReadingFault):
+    """What is drawn are the components that are missing."""
+
+    def change(
+        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
+    ) -> Any:
+        return without(reading, drawn & jnp.asarray(chosen))
+
+
+class AbstractError(AbstractReadingFault):
+    """What is drawn is added, in tangent coordinates."""
+
+    def change(
+        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
+    ) -> Any:
+        return space(reading).boxplus(reading, jnp.where(chosen, drawn, 0.0))
+
+
 @faults.add("dropout")
-class Dropout(AbstractReadingFault):
+class Dropout(AbstractLoss):
     """A reading is lost as a whole; a control is, and the one before is held."""
 
     probability: Ratio = 1.0
@@ -49,14 +67,9 @@ class Dropout(AbstractReadingFault):
         lost = when.active & (jr.uniform(key, when.time.shape) < self.probability)
         return jnp.repeat(lost[:, None], size, axis=1)
 
-    def change(
-        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
-    ) -> Any:
-        return without(reading, drawn & jnp.asarray(chosen))
-
 
 @faults.add("nan")
-class NotANumber(AbstractReadingFault):
+class NotANumber(AbstractLoss):
     """Each component, by itself, is no number."""
 
     probability: Ratio = 0.1
@@ -69,14 +82,9 @@ class NotANumber(AbstractReadingFault):
         bad = jr.uniform(key, (len(when.time), size)) < self.probability
         return when.active[:, None] & bad
 
-    def change(
-        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
-    ) -> Any:
-        return without(reading, drawn & jnp.asarray(chosen))
-
 
 @faults.add("bias")
-class Bias(AbstractReadingFault):
+class Bias(AbstractError):
     """A constant is added: ``value``, and one drawn for each run and component."""
 
     value: Scalar = 0.0
@@ -90,14 +98,9 @@ class Bias(AbstractReadingFault):
         constant = self.value + self.std * jr.normal(key, (size,))
         return when.active[:, None] * constant[None]
 
-    def change(
-        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
-    ) -> Any:
-        return space(reading).boxplus(reading, jnp.where(chosen, drawn, 0.0))
-
 
 @faults.add("drift")
-class Drift(AbstractReadingFault):
+class Drift(AbstractError):
     """What is added grows since the fault began: by ``rate``, and one drawn for each run."""
 
     rate: Scalar = 0.0  # of the component, 1/s
@@ -111,11 +114,6 @@ class Drift(AbstractReadingFault):
         rate = self.rate + self.std * jr.normal(key, (size,))
         since = jnp.where(when.active, when.since, 0.0)
         return since[:, None] * rate[None]
-
-    def change(
-        self, chosen: np.ndarray, reading: Any, drawn: Any, std: Float[Array, " m"]
-    ) -> Any:
-        return space(reading).boxplus(reading, jnp.where(chosen, drawn, 0.0))
 
 
 @faults.add("outliers")

@@ -12,7 +12,7 @@ from kedge.core.quantities import Acceleration, Scalar
 from kedge.core.registry import worlds
 from kedge.simulation.routes import AbstractRoute
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
-from kedge.vehicles.constant_velocity import Control, State
+from kedge.vehicles.constant_velocity import ConstantVelocity, Control, Noise, State
 
 
 @worlds.add("guided-point")
@@ -40,11 +40,11 @@ class GuidedPoint(AbstractWorld):
         dt = scenario.dt
         gusts = self.acceleration_std * jr.normal(key, (scenario.steps, 2))
 
+        point = ConstantVelocity()
+
         def body(error: State, gust: Any) -> tuple[State, State]:
             led = -self.position_gain * error.position - self.velocity_gain * error.velocity
-            change = (led + gust) * dt
-            moved = error.position + (error.velocity + change / 2) * dt
-            error = State(moved, error.velocity + change)
+            error = point.step(error, Control(), Noise(led + gust), dt)
             return error, error
 
         _, errors = lax.scan(body, State(jnp.zeros(2), jnp.zeros(2)), gusts)

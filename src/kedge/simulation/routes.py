@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Curvature, Metres, Scalar, Seconds, Speed
-from kedge.core.registry import routes
+from kedge.core.registry import routes, unknown
 from kedge.core.rotations import direction
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -257,7 +257,15 @@ PROFILES = ("trapezoid", "sharp", "fillet")
 
 @routes.add("rectangle")
 class Rectangle(AbstractRoute):
-    """A rectangle as :func:`rectangle` makes it, lap after lap."""
+    r"""A rectangle, counter-clockwise from the origin, in ``lap`` seconds, again and again.
+
+    "trapezoid" stops at the corners; its speed solves $P / v + 4 v / a = T$ for the perimeter
+    P. "sharp" keeps its speed and turns at once. "fillet" rounds the corners, keeps its speed
+    and begins where the first side becomes straight.
+
+    Raises:
+        ContractError: the profile is unknown, or cannot be driven in that time.
+    """
 
     width: float = eqx.field(static=True, default=20.0)  # m
     height: float = eqx.field(static=True, default=10.0)  # m
@@ -269,59 +277,38 @@ class Rectangle(AbstractRoute):
     def __check_init__(self):
         self.driven()
 
-    def driven(self) -> AbstractRoute:
-        """The waypoints or arcs that it is made of."""
-        return rectangle(
-            self.width, self.height, self.lap, self.profile, self.acceleration, self.radius
-        )
-
     def at(self, time: Scalar) -> Place:
         return self.driven().at(time)
 
-
-def rectangle(
-    width: float = 20.0,
-    height: float = 10.0,
-    lap: float = 100.0,
-    profile: str = "trapezoid",
-    acceleration: float = 0.3,
-    radius: float = 1.0,
-) -> AbstractRoute:
-    r"""A lap around a rectangle, counter-clockwise from the origin, in ``lap`` seconds.
-
-    "trapezoid" stops at the corners; its speed solves $P / v + 4 v / a = T$ for the perimeter
-    P. "sharp" keeps its speed and turns at once. "fillet" rounds the corners, keeps its speed
-    and begins where the first side becomes straight.
-
-    Raises:
-        ContractError: the profile is unknown, or cannot be driven in that time.
-    """
-    if profile not in PROFILES:
-        raise ContractError(
-            f"route: profile is {profile!r}, expected one of {', '.join(PROFILES)}"
-        )
-    perimeter = 2 * (width + height)
-    corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height), (0.0, 0.0))
-    if profile == "sharp":
-        return Waypoints(corners, perimeter / lap)
-    if profile == "trapezoid":
-        slack = lap**2 - 16 * perimeter / acceleration
-        if slack < 0:
+    def driven(self) -> AbstractRoute:
+        """The waypoints or arcs that it is made of."""
+        if self.profile not in PROFILES:
+            raise ContractError(f"route: {unknown('profile', self.profile, list(PROFILES))}")
+        width, height, lap = self.width, self.height, self.lap
+        perimeter = 2 * (width + height)
+        corners = ((0.0, 0.0), (width, 0.0), (width, height), (0.0, height), (0.0, 0.0))
+        if self.profile == "sharp":
+            return Waypoints(corners, perimeter / lap)
+        if self.profile == "trapezoid":
+            slack = lap**2 - 16 * perimeter / self.acceleration
+            if slack < 0:
+                raise ContractError(
+                    f"route: no speed takes {lap:g} s for {perimeter:g} m with four stops at "
+                    f"{self.acceleration:g} m/s^2; expected at least "
+                    f"{4 * math.sqrt(perimeter / self.acceleration):.4g} s"
+                )
+            speed = (lap - math.sqrt(slack)) * self.acceleration / 8
+            return Waypoints(corners, speed, self.acceleration)
+        radius = self.radius
+        if not 0 < radius < min(width, height) / 2:
             raise ContractError(
-                f"route: no speed takes {lap:g} s for {perimeter:g} m with four stops at "
-                f"{acceleration:g} m/s^2; expected at least "
-                f"{4 * math.sqrt(perimeter / acceleration):.4g} s"
+                f"route: radius is {radius:g} m, expected above 0 and below half a side, "
+                f"{min(width, height) / 2:g} m"
             )
-        return Waypoints(corners, (lap - math.sqrt(slack)) * acceleration / 8, acceleration)
-    if not 0 < radius < min(width, height) / 2:
-        raise ContractError(
-            f"route: radius is {radius:g} m, expected above 0 and below half a side, "
-            f"{min(width, height) / 2:g} m"
-        )
-    sides = (width - 2 * radius, height - 2 * radius) * 2
-    quarter = math.pi / 2 * radius
-    lengths = tuple(length for side in sides for length in (side, quarter))
-    return Arcs((radius, 0.0), 0.0, (0.0, 1 / radius) * 4, lengths, sum(lengths) / lap)
+        sides = (width - 2 * radius, height - 2 * radius) * 2
+        quarter = math.pi / 2 * radius
+        lengths = tuple(length for side in sides for length in (side, quarter))
+        return Arcs((radius, 0.0), 0.0, (0.0, 1 / radius) * 4, lengths, sum(lengths) / lap)
 
 
 def _chord(heading: float, curvature: float, length: float) -> Float[np.ndarray, "2"]:
