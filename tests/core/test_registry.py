@@ -44,8 +44,9 @@ def test_every_file_of_a_family_is_found(family):
         for path in Path(folder).glob("*.py")
         if f"@{family.family}.add(" in path.read_text()
     }
-    homes = {family.get(name).__module__.rpartition(".")[2] for name in family.names()}
-    assert files == homes
+    homes = {family.get(name).__module__.rpartition(".") for name in family.names()}
+    # A test beside this one may have registered a user's own.
+    assert files == {home for package, _, home in homes if package == FAMILIES[family].__name__}
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.family)

@@ -17,6 +17,7 @@ from kedge.estimation.batch import estimate, estimate_with_history, pass_over
 from kedge.estimation.log import Log, Schedule
 from kedge.estimation.rig import Installation, Mount, Rig, as_arrays
 from kedge.estimation.runs import estimate_runs
+from kedge.estimation.step import event_keys
 from kedge.filters.ensemble import EnsembleKalman
 from kedge.filters.extended import ExtendedKalman
 from kedge.filters.gated import Gated
@@ -256,3 +257,11 @@ def test_what_is_not_kept_is_not_stored(key):
     compiled = jax.jit(means).lower(key).compile()
     assert compiled.memory_analysis().temp_size_in_bytes < 50e6
     assert jax.tree.leaves(compiled(key))[0].shape == (steps, 1000)
+
+
+def test_no_key_is_used_twice():
+    """Neither for two predictions, two readings, or one of each."""
+    numbers = range(1, 6)
+    keys = [jr.key(0), *(key for i in numbers for key in event_keys(jr.key(0), i, i))]
+    data = {tuple(np.asarray(jr.key_data(key)).tolist()) for key in keys}
+    assert len(data) == len(keys) == 11

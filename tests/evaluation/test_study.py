@@ -172,9 +172,11 @@ def test_ratios_are_paired(pooled, results):
     squared = np.repeat(hard[:, None], 4, axis=1)
     gaps = squared * gap[:, None]
     first, second = (
-        Result(_runs(values), _runs(values), results[name].sums, 1.0)
-        for values in (gaps, squared)
+        Result(_runs(values, times), _runs(values), results[name].sums, 1.0)
+        for values, times in ((gaps, 3 * gap), (squared, np.ones(400)))
     )
+    # A mean of errors is no root of a mean of squares.
+    assert compare(pooled, first, second)["time-mean-rms"].mean == pytest.approx(3 * gap.mean())
     ratio = compare(pooled, first, second)["position"]
     np.testing.assert_allclose(ratio.mean, np.sqrt(gaps.sum() / squared.sum()))
     # The delta method on the linearised ratio of means.
@@ -191,11 +193,11 @@ def test_filters_are_judged_by_the_field_that_is_named(pooled, results):
         pooled._replace(field="velocty").check()
 
 
-def _runs(squared):
+def _runs(squared, times=None):
     rows = len(squared)
     once = np.ones(rows)
     ones, none = np.ones((rows, 1)), np.zeros((rows, 0))
-    return RunScores(once, squared, once, once, ones, ones, none)
+    return RunScores(once if times is None else times, squared, once, once, ones, ones, none)
 
 
 def test_a_start_near_the_truth_is_as_far_off_as_the_prior_says():

@@ -192,6 +192,15 @@ def test_another_fault_changes_no_draw():
     np.testing.assert_array_equal(gps(runs[1]), gps(runs[2]))
 
 
+def test_two_faults_of_a_kind_are_drawn_apart():
+    both = tuple(Fault(name, "gps", Bias(std=1.0)) for name in ("one", "two"))
+    one, two = (
+        gps(simulate(dataclasses.replace(SCENARIO, faults=(fault,)), jr.key(3)))
+        for fault in both
+    )
+    assert abs((one - two)[0]).min() > 1e-3
+
+
 def test_what_is_told_of_the_control():
     car = Unicycle()
     rig = Rig(car, (), Gaussian(car.start(), 1e-18 * jnp.eye(3)))
