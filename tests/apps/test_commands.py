@@ -169,7 +169,10 @@ def test_list_names_every_family(kedge):
     code, out, _ = kedge("list", "--json")
     found = json.loads(out)
     assert code == 0
-    assert set(found) == {"vehicles", "sensors", "filters", "rigs", "scenarios", "datasets"}
+    models = {"vehicles", "sensors", "filters", "worlds", "routes", "faults"}
+    assert set(found) == models | {"rigs", "scenarios", "datasets"}
+    assert found["worlds"]["omnidirectional"]["parameters"]["arm"]["unit"] == "m"
+    assert found["faults"]["delay"]["parameters"]["delay"] == {"default": 0.1, "unit": "s"}
     assert found["vehicles"]["unicycle"]["state"] == {
         "position_x": "m", "position_y": "m", "heading": "rad",
     }  # fmt: skip

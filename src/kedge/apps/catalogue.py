@@ -6,7 +6,8 @@ from typing import Any
 from kedge.core.errors import UnknownName
 from kedge.core.registry import unknown
 
-FAMILIES = ("vehicles", "sensors", "filters", "rigs", "scenarios", "datasets")
+CLASSES = ("vehicles", "sensors", "filters", "worlds", "routes", "faults")
+FAMILIES = (*CLASSES, "rigs", "scenarios", "datasets")
 
 
 def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
@@ -19,10 +20,10 @@ def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
         raise UnknownName(unknown("families", what, [*FAMILIES, "all"]))
     chosen = FAMILIES if what == "all" else (what,)
     found: dict[str, dict[str, Any]] = {}
-    if {"vehicles", "sensors", "filters"} & set(chosen):
-        from kedge.apps.describe import everything
+    if classes := [family for family in chosen if family in CLASSES]:
+        from kedge.apps.describe import registered
 
-        found |= {family: table for family, table in everything().items() if family in chosen}
+        found |= {family: registered(family) for family in classes}
     if "rigs" in chosen:
         found["rigs"] = _titles("rigs")
     if "scenarios" in chosen:

@@ -54,7 +54,7 @@ def components(value: Any) -> dict[str, str]:
     return dict(zip(of.labels, of.units, strict=True))
 
 
-def everything() -> dict[str, dict[str, Any]]:
-    """All registered vehicles, sensors and filters."""
-    families = registry.vehicles, registry.sensors, registry.filters
-    return {f.family: {name: describe(f.get(name)) for name in f.names()} for f in families}
+def registered(family: str) -> dict[str, dict[str, Any]]:
+    """All members of a family: "vehicles", "sensors", "filters", "worlds", "routes", "faults"."""
+    found = getattr(registry, family)
+    return {name: describe(found.get(name)) for name in found.names()}
