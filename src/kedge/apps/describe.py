@@ -55,6 +55,6 @@ def components(value: Any) -> dict[str, str]:
 
 
 def registered(family: str) -> dict[str, dict[str, Any]]:
-    """All members of a family: "vehicles", "sensors", "filters", "worlds", "routes", "faults"."""
+    """All members of a family of models: "vehicles", "worlds", and so on."""
     found = getattr(registry, family)
     return {name: describe(found.get(name)) for name in found.names()}
