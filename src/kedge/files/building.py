@@ -20,17 +20,23 @@ from kedge.numerics.losses import Loss
 from kedge.vehicles.augmented import Wander, augment
 
 
-def build_vehicle(config: AbstractRigConfig) -> tuple[AbstractVehicle, AbstractVehicle]:
+def build_vehicle(
+    config: AbstractRigConfig, maps: Mapping[str, TargetMap] | None = None
+) -> tuple[AbstractVehicle, AbstractVehicle]:
     """The vehicle without and with its slow states, once every sensor is known to fit it.
+
+    Without ``maps``, before a log is read, sensors have the maps of their defaults: enough to
+    see what does not fit, but a slow state may have a component for each target of a map.
 
     Raises:
         ContractError: the vehicle refuses its parameters, or a sensor reads what it has not.
     """
+    built = {} if maps is None else {n: build_sensor(config, n, maps) for n in config.sensors}
     try:
         bare = build_model(vehicles.get(config.vehicle.model), config.vehicle.parameters)
-        plain = {
-            n: build_model(sensors.get(s.model), s.parameters)
-            for n, s in config.sensors.items()
+        plain = built or {
+            name: build_model(sensors.get(spec.model), spec.parameters)
+            for name, spec in config.sensors.items()
         }
         slow = {
             name: Wander(slow.walk, slow.time_constant or float("inf"))
@@ -76,6 +82,8 @@ def build_sensor(
         fields = {}
         for field, value in default._asdict().items():
             labels = parts(field, np.shape(value)[1:])
+            if field in default._field_defaults and not set(labels) & set(targets.columns):
+                continue
             for label in labels:
                 if label not in targets.columns:
                     what = unknown("column", label, list(targets.columns))

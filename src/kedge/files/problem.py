@@ -94,8 +94,9 @@ def load_problem(
         KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
     """
     config = load_rig_config(rig, overrides)
-    bare, vehicle = build_vehicle(config)
+    build_vehicle(config)  # what does not fit is said before a long file is read
     raw = read_log(log, config.format)
+    bare, vehicle = build_vehicle(config, raw.maps)
     notes = list(raw.notes)
     reference = _reference(raw, truth)
     control_stamps, controls = read_controls(config, raw, bare)

@@ -340,7 +340,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
     Raises:
         ContractError: vehicle, sensors and prior do not fit together.
     """
-    bare, vehicle = build_vehicle(config)
+    bare, vehicle = build_vehicle(config, {})
     sensors = tuple(
         build_installation(config, name, build_sensor(config, name, {}))
         for name in config.sensors

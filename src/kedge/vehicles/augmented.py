@@ -118,7 +118,7 @@ def augment(
                 f"field of a sensor; there are {', '.join(sorted(known)) or 'none'}"
             )
         chart, nominal = known[name]
-        found[name] = Slow(nominal, wander.walk, wander.time_constant)
+        found[name] = Slow(1.0 * jnp.asarray(nominal), wander.walk, wander.time_constant)
         charts.append((name, chart))
     return Augmented(vehicle, found, tuple(charts))
 
