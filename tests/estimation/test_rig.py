@@ -109,7 +109,7 @@ def test_a_mounted_sensor_sees_from_where_it_sits():
 
 def test_a_mounted_sensor_is_that_of_a_vehicle_displaced():
     mount, pose = Mount(0.8, -0.3, 2.0), (1.0, 2.0, 2.5)
-    displaced = planar(*pose) @ planar(*mount)
+    displaced = planar(*pose) @ planar(*mount[:3])
     state = State(jnp.array(pose[:2]), jnp.array(pose[2]))
     moved = State(jnp.asarray(displaced[:2, 2]), jnp.array(pose[2] + mount.heading))
     sensor = Landmarks(range_std_per_metre=0.1)

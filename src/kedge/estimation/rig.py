@@ -1,7 +1,7 @@
 """Rigs: a vehicle, the sensors installed on it, and what is believed at the start."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,17 +12,9 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of, space_of
-from kedge.core.quantities import Scalar
-from kedge.core.rotations import wrap
+from kedge.estimation.mount import Mount as Mount
+from kedge.estimation.mount import complaint, seen_from
 from kedge.numerics.losses import Loss
-
-
-class Mount(NamedTuple):
-    """Where a sensor sits: forward and left of the origin (m), turned to the left (rad)."""
-
-    x: Scalar = 0.0
-    y: Scalar = 0.0
-    heading: Scalar = 0.0
 
 
 class Installation(eqx.Module):
@@ -77,15 +69,7 @@ class Installation(eqx.Module):
 
     def _moved(self, state: Any) -> Any:
         """The state as if the vehicle stood where the sensor sits."""
-        if self.mount is None:
-            return state
-        cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
-        arm = jnp.stack(
-            [cos * self.mount.x - sin * self.mount.y, sin * self.mount.x + cos * self.mount.y]
-        )
-        return state._replace(
-            position=state.position + arm, heading=wrap(state.heading + self.mount.heading)
-        )
+        return state if self.mount is None else seen_from(self.mount, state)
 
 
 class Rig(eqx.Module):
@@ -151,16 +135,15 @@ def check_reads(installation: Installation, state: Any, vehicle: str) -> None:
         for name, chart in needs.items()
         if has.get(name, chart if name in optional else None) != chart
     }
-    if installation.mount is not None and not {"position", "heading"} <= has.keys():
-        raise ContractError(
-            f"sensor {installation.name!r} has a mount, which needs position and heading "
-            f"in the state, but the state of {vehicle} is {sorted(has)}"
-        )
     if wrong:
         raise ContractError(
             f"{type(sensor).__name__} ({installation.name!r}) reads {wrong}, but the state of "
             f"{vehicle} is {has}"
         )
+    if installation.mount is not None:
+        why = complaint(installation.mount, has, set(needs))
+        if why is not None:
+            raise ContractError(f"sensor {installation.name!r} {why.format(vehicle=vehicle)}")
 
 
 def as_arrays(tree: Any) -> Any:

@@ -135,7 +135,10 @@ def _of_sensors(rig: Rig) -> list[Tunable]:
             for name, value, unit in _numbers(own.sensor)
         ]
         if own.mount is not None:
-            for name, unit in (("x", "m"), ("y", "m"), ("heading", "rad")):
+            places = [("x", "m"), ("y", "m"), ("heading", "rad")]
+            if hasattr(rig.prior.mean, "attitude"):
+                places += [("z", "m"), ("roll", "rad"), ("pitch", "rad")]
+            for name, unit in places:
                 value = float(getattr(own.mount, name))
                 found.append(
                     Tunable(f"{key}.mount.{name}", (*at, "mount", name), value, unit, False)

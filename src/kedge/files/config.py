@@ -64,11 +64,14 @@ class ControlConfig(Strict):
 
 
 class MountConfig(Strict):
-    """Where a sensor sits on the body: forward, left (m), turned left (rad)."""
+    """Where a sensor sits on the body (m: forward, left, up), and how it is turned (rad)."""
 
     x: Finite = 0.0
     y: Finite = 0.0
+    z: Finite = 0.0
     heading: Finite = 0.0
+    pitch: Finite = 0.0
+    roll: Finite = 0.0
 
 
 class RobustConfig(Strict):
