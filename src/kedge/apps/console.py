@@ -78,6 +78,7 @@ def _columns(filters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[An
     known = {
         "position m": pick("rmse", "position"),
         "95 % interval": interval,
+        "in plan m": pick("rmse", "horizontal"),
         "heading deg": pick("rmse", "heading", scale=57.29577951308232),
         "velocity m/s": pick("rmse", "velocity"),
         "x baseline": pick("ratio_to_baseline"),
@@ -97,7 +98,7 @@ def _nees(scores: Mapping[str, Any]) -> str:
 
 def _final(scores: Mapping[str, Any]) -> str:
     driven = scores.get("distance")
-    return f"{scores['final_error'] / driven:.1%} of path" if driven else "-"
+    return f"{scores['final_error'] / driven:.2%} of path" if driven else "-"
 
 
 REQUIREMENT = re.compile(r"^(\S+?)\s*(<=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)$")

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from kedge.core.manifolds import space_of
 from kedge.core.verdicts import Verdict
 from kedge.evaluation import style
 from kedge.evaluation.consistency import chi_square_bound
-from kedge.evaluation.score import MAX_GAP, Run
+from kedge.evaluation.score import Run, longest_gap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,14 +99,16 @@ def broken(
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """A path in plan with its gaps left open."""
     x, y = position[:, 0], position[:, 1]
-    cuts = np.flatnonzero(np.diff(time) > MAX_GAP) + 1
+    cuts = np.flatnonzero(np.diff(time) > longest_gap(time)) + 1
     return np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan)
 
 
 def ellipses(run: Run, count: int, probability: float = 0.95) -> Float[np.ndarray, "e 49 2"]:
     """Outlines of the regions that should hold the position, at even times, in plan."""
     chosen = np.unique(np.linspace(0, len(run.track.time) - 1, count).astype(int))
-    roots = np.linalg.cholesky(run.track.cov[chosen, :2, :2] + 1e-18 * np.eye(2)[None])
+    start = space_of(type(run.track.mean)).slices()["position"].start
+    cut = slice(start, start + 2)
+    roots = np.linalg.cholesky(run.track.cov[chosen, cut, cut] + 1e-18 * np.eye(2)[None])
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.sqrt(chi_square_bound(2, probability)) * np.stack(
         [np.cos(angle), np.sin(angle)], axis=1

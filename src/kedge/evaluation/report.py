@@ -3,12 +3,10 @@
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from kedge.core.errors import DataError
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
-from kedge.evaluation import diagnostics, figures, findings, style, tables
+from kedge.evaluation import diagnostics, figures, findings, spatial, style, tables
 from kedge.evaluation.drawing import LONG_GAP
 from kedge.evaluation.page import Front, Plate, require_studio, write_page
 from kedge.evaluation.score import Run
@@ -72,7 +70,7 @@ def plates(content: ReportContent) -> list[Plate]:
     """The figures that this log has something to show in."""
     run = findings.principal(content.runs)
     found = [*_map(content)] if hasattr(run.track.mean, "position") else []
-    found += _errors(content)
+    found += _heights(content, run) + _errors(content)
     if figures.unknown_to_truth(run):
         what = "The state" if run.errors is None else "What truth does not know of the state"
         found.append(
@@ -104,9 +102,25 @@ def _map(content: ReportContent) -> list[Plate]:
     strays = [run.name for run in runs if figures.leaves(run, axes[0])]
     if strays:
         caption += f" Cut off at the edge of the view: {', '.join(strays)}."
-    if np.asarray(runs[0].track.mean.position).shape[1] > 2:
-        caption += " Height is not shown here."
     return [Plate("map", "map", caption, axes[0].figure)]
+
+
+def _heights(content: ReportContent, run: Run) -> list[Plate]:
+    """Height and attitude of what moves in space."""
+    found, truth = [], content.truth
+    if spatial.is_spatial(run):
+        rivals = [run for run in content.runs if spatial.is_spatial(run)]
+        caption = f"The height, with ± 3 standard deviations of {run.name}."
+        figure = spatial.plot_heights(rivals, run, truth).figure
+        found.append(Plate("height", "map", caption, figure))
+    if spatial.has_attitude(run):
+        caption = (
+            f"The attitude that {run.name} estimates, with ± 3 standard deviations: how the "
+            "body would be turned by heading, then pitch, then roll."
+        )
+        axes = spatial.plot_attitude(run, truth, color=_color(content, run))
+        found.append(Plate("attitude", "map", caption, axes[0].figure))
+    return found
 
 
 def _errors(content: ReportContent) -> list[Plate]:
@@ -117,6 +131,11 @@ def _errors(content: ReportContent) -> list[Plate]:
     if len(judged) > 1:
         caption = "Distance from truth, all runs, on a logarithmic axis."
         found.append(Plate("distance", "errors", caption, figures.plot_distance(judged).figure))
+    truth = content.truth
+    if truth is not None and "position" in truth.fields and spatial.is_spatial(main):
+        caption = "Position error in per cent of the distance covered so far, all runs."
+        figure = spatial.plot_drift(judged, truth).figure
+        found.append(Plate("drift", "errors", caption, figure))
     shown = [run for run in judged if run is main or not style.is_baseline(run.name)]
     for run in sorted(shown, key=lambda run: run is not main):
         axes = figures.plot_errors(run, color=_color(content, run))

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from kedge.core.errors import DataError
-from kedge.core.manifolds import Chart, space_of
+from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
+from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
 from kedge.evaluation.health import health
 from kedge.evaluation.trajectory import (
@@ -25,7 +26,12 @@ from kedge.evaluation.trajectory import (
     relative_pose_error,
 )
 
-MAX_GAP = 0.5  # s; across a longer gap truth is unknown
+MAX_GAP = 0.5  # s; across a longer gap truth is unknown, unless it never comes more often
+
+
+def longest_gap(time: Float[np.ndarray, " K"]) -> float:
+    """The longest gap between samples of truth, in s, across which it is still known."""
+    return max(MAX_GAP, 1.5 * float(np.median(np.diff(time)))) if len(time) > 1 else MAX_GAP
 
 
 class Track(NamedTuple):
@@ -83,7 +89,7 @@ def track_of(estimates: Estimates, recording: Recording) -> Track:
     return Track(time, recording.stamps[at], mean, cov)
 
 
-def errors_of(track: Track, truth: Truth, max_gap: float | int = MAX_GAP) -> Errors:
+def errors_of(track: Track, truth: Truth, max_gap: float | int | None = None) -> Errors:
     """Compare a track with truth, interpolated in each field's chart."""
     states = space_of(type(track.mean))
     cuts, charts = states.slices(), dict(zip(states.cls._fields, states.charts, strict=True))
@@ -111,13 +117,14 @@ def truth_at(
     truth: Truth,
     time: Float[np.ndarray, " K"],
     charts: Mapping[str, Chart],
-    max_gap: float | int = MAX_GAP,
+    max_gap: float | int | None = None,
 ) -> tuple[dict[str, np.ndarray], Bool[np.ndarray, " K"]]:
     """The true fields with a chart, on the shortest way between samples; and where known.
 
-    Outside the samples, and across gaps longer than ``max_gap``, truth is not known; the values
-    there mean nothing.
+    Outside the samples, and across gaps longer than ``max_gap`` (:func:`longest_gap` if it is
+    not given), truth is not known; the values there mean nothing.
     """
+    max_gap = longest_gap(truth.time) if max_gap is None else max_gap
     right = np.searchsorted(truth.time, time).clip(1, len(truth.time) - 1)
     span = truth.time[right] - truth.time[right - 1]
     share = (time - truth.time[right - 1]) / span
@@ -145,6 +152,7 @@ def score(
         scores |= _accuracy(errors)
         if "position" in errors.fields:
             scores |= _path_scores(track, truth)
+        _add_spatial(scores, track, truth, errors)
     return Run(name, estimates, track, errors, scores)
 
 
@@ -203,13 +211,14 @@ def _root_mean(squared: Float[np.ndarray, " K"]) -> tuple[float, list[float]]:
 
 def _path_scores(track: Track, truth: Truth) -> dict[str, Any]:
     """APE and RPE in the convention of evo, and the final error as a share of the path."""
-    known = "heading" in truth.fields and hasattr(track.mean, "heading")
+    turn = "heading" if truth.fields["position"].shape[1] == 2 else "attitude"
+    known = turn in truth.fields and hasattr(track.mean, turn)
     estimate, true = associate(
-        Trajectory(track.time, track.mean.position, track.mean.heading if known else None),
         Trajectory(
-            truth.time, truth.fields["position"], truth.fields["heading"] if known else None
+            track.time, track.mean.position, getattr(track.mean, turn) if known else None
         ),
-        MAX_GAP,
+        Trajectory(truth.time, truth.fields["position"], truth.fields[turn] if known else None),
+        longest_gap(truth.time),
     )
     found: dict[str, Any] = {"ape": {}, "rpe": {}}
     for kind in ("none", "rigid"):
@@ -227,7 +236,25 @@ def _path_scores(track: Track, truth: Truth) -> dict[str, Any]:
     steps = np.linalg.norm(np.diff(true.position, axis=0), axis=1)
     found["distance"] = float(steps.sum())
     found["final_error"] = float(np.linalg.norm(estimate.position[-1] - true.position[-1]))
+    if found["distance"] > 0:
+        found["final_error_of_distance"] = found["final_error"] / found["distance"]
     return found
+
+
+def _add_spatial(scores: dict[str, Any], track: Track, truth: Truth, errors: Errors) -> None:
+    """RMSE in plan where there is a height, and of the heading where there is an attitude."""
+    squared = {}
+    where = errors.fields.get("position")
+    if where is not None and where.stop - where.start == 3:
+        squared["horizontal"] = np.sum(errors.error[:, where][:, :2] ** 2, axis=1)
+    if "attitude" in errors.fields and "heading" not in errors.fields:
+        charts = dict(charts_of(type(track.mean)))
+        true, _ = truth_at(truth, track.time, {"attitude": charts["attitude"]})
+        gap = angles_of(true["attitude"]).heading - angles_of(track.mean.attitude).heading
+        unknown = np.isnan(errors.error[:, errors.fields["attitude"]]).any(axis=1)
+        squared["heading"] = np.where(unknown, np.nan, np.angle(np.exp(1j * gap)) ** 2)
+    for name, values in squared.items():
+        scores["rmse"][name], scores["rmse_ci"][name] = _root_mean(values)
 
 
 def _sensor_scores(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, Any]:

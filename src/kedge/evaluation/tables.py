@@ -46,6 +46,10 @@ def filter_table(runs: Sequence[Run], recording: Recording) -> Table:
         field, main = main_field(judged.errors)[0], judged.errors
         for name, cut in main.fields.items():
             columns.append(_rmse(runs, name, *style.shown(main.units[cut.start])))
+        extra = {"horizontal": ("position", "m"), "heading": ("attitude", "rad")}
+        for name, (source, unit) in extra.items():
+            if source in main.fields and name in judged.scores["rmse"].keys() - main.fields:
+                columns.append(_rmse(runs, name, *style.shown(unit)))
         if base is not None and base.errors is not None and len(runs) > 1:
             title = f"against {base.name.replace('-', ' ')}"
             columns.append(_plain(runs, title, "ratio", lambda run: _ratio(run, base, field)))

@@ -16,7 +16,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, pass_over
 from kedge.estimation.log import Log, Recording, Truth
 from kedge.estimation.rig import Installation, Rig
-from kedge.evaluation.score import MAX_GAP, truth_at
+from kedge.evaluation.score import truth_at
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.losses import TUNING, Loss
 
@@ -91,7 +91,7 @@ def consistent_weight(freedom: float, dof: int) -> float:
 def known_truth(recording: Recording, truth: Truth, state: Any) -> Known:
     """The truth at the output times, for the fields of a state."""
     time = np.asarray(recording.log.schedule.time)[recording.outputs]
-    fields, there = truth_at(truth, time, charts_of(type(state)), MAX_GAP)
+    fields, there = truth_at(truth, time, charts_of(type(state)))
     return Known(recording.outputs, fields, there)
 
 
