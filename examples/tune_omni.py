@@ -8,16 +8,19 @@ import argparse
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 
 import kedge
+from kedge.core.manifolds import space
+from kedge.estimation.batch import pass_over
 from kedge.estimation.rig import as_arrays
 from kedge.evaluation.tunable import choose, placed
 from kedge.evaluation.tuning import Search, Tuned, tune
 from kedge.files.scenarios import load_scenario
-from kedge.simulation.loop import start_near
+from kedge.simulation.simulate import schedule, simulate, with_readings
 
 GUESS = {
     "wheel_noise": 0.1,
@@ -47,21 +50,40 @@ def lap_for_tuning(scenario: kedge.Scenario, seed: int, with_truth: bool) -> Tun
 
 def score(scenario: kedge.Scenario, rigs: Sequence[kedge.Rig], runs: int) -> np.ndarray:
     """Position RMSE (m), heading RMSE (rad), NEES and NIS of rigs over the same other laps."""
-    filter, rows = kedge.make_filter("extended"), np.zeros((len(rigs), runs, 4))
-    for run in range(runs):
-        lap_key, near_key = jr.split(jr.fold_in(jr.key(2), run))
-        recording, truth = kedge.record(scenario, lap_key)
-        white = jr.normal(near_key, (3,))
-        for row, rig in zip(rows, rigs, strict=True):
-            # The prior's mean is where the route begins; filters start near it.
-            near = start_near(rig.prior, rig.prior.mean, white)
-            own = eqx.tree_at(lambda r: r.prior.mean, rig, near)
-            estimates = kedge.estimate(filter, own, recording.log)
-            found = kedge.score("extended", estimates, recording, own, truth).scores
-            rmse, nis = found["rmse"], found["sensors"]["camera"]["nis"]
-            row[run] = rmse["position"] ** 2, rmse["heading"] ** 2, found["nees"], nis
-    mean = rows.mean(axis=1)
-    return np.column_stack([np.sqrt(mean[:, :2]), mean[:, 2:]])
+    plan = schedule(scenario)
+    fixes = np.flatnonzero(np.asarray(plan.log.schedule.sensor) == 0)
+    step = np.round(np.asarray(plan.log.schedule.time)[fixes] / scenario.dt).astype(int) - 1
+    filter = as_arrays(kedge.make_filter("extended"))
+
+    @eqx.filter_jit
+    def run(rig, keys):
+        def one(key):
+            sim_key, near_key = jr.split(key)
+            lap = simulate(scenario, sim_key)
+            states = space(lap.start)
+            near = jnp.sqrt(jnp.diag(rig.prior.cov)) * jr.normal(near_key, (states.size,))
+            prior = kedge.Gaussian(states.boxplus(lap.start, near), rig.prior.cov)
+            own = eqx.tree_at(lambda r: r.prior, rig, prior)
+            found = pass_over(filter, own, with_readings(plan.log, scenario, lap), key, False)[
+                0
+            ]
+            believed = jax.tree.map(lambda leaf: leaf[fixes], found.moments.mean)
+            true = jax.tree.map(lambda leaf: leaf[step], lap.truth)
+            error = jax.vmap(states.boxminus)(true, believed)
+            white = jnp.linalg.solve(found.moments.cov[fixes], error[..., None])[..., 0]
+            nees = jnp.sum(error * white, axis=1)
+            squares = jnp.sum(error[:, :2] ** 2, axis=1), error[:, 2] ** 2
+            return jnp.stack([jnp.mean(x) for x in (*squares, nees, found.outcome.nis[fixes])])
+
+        return jax.vmap(one)(keys)
+
+    keys = jr.split(jr.key(2), runs)
+    rows = []
+    for rig in rigs:
+        parts = [run(as_arrays(rig), part) for part in jnp.split(keys, max(runs // 20, 1))]
+        mean = np.mean(np.concatenate(parts), axis=0)
+        rows.append([*np.sqrt(mean[:2]), *mean[2:]])
+    return np.array(rows)
 
 
 def compare(name: str, seed: int, runs: int) -> tuple[dict[str, Tuned], np.ndarray]:

@@ -21,7 +21,7 @@ def example():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["omni-circle", "omni-square"])
 def test_one_lap_tunes_as_well_as_a_hand(example, name):
-    tuned, scores = example.compare(name, seed=0, runs=20)
+    tuned, scores = example.compare(name, seed=0, runs=40)
     hand, guess, innovations, truth = scores
     for found in (innovations, truth):
         position, heading, nees, nis = found
