@@ -40,8 +40,9 @@ class Times:
         )
 
     def note(self, text):
-        """A line below the table."""
+        """A line below the table; also at once, for whoever waits (`-s`)."""
         self.notes.append(text)
+        print(text, flush=True)
 
 
 def interpreter(requirement):
