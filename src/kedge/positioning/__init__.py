@@ -1,0 +1,1 @@
+"""Where something is, from one epoch of ranges: no memory, no motion model."""
