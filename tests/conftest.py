@@ -46,6 +46,7 @@ DEAR = {
     "auxiliary",
     "denkf",
     "enkf-n",
+    "fix",
     "fuzzy-noise",
     "gauss-hermite",
     "guided",

@@ -74,6 +74,18 @@ class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
         return states.boxplus(state, dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
 
 
+class Ranging(NamedTuple):
+    r"""A measurement that is ranges: $z_i = s_i \sqrt{\lVert p - a_i \rVert^2 + h_i^2} + b_i$."""
+
+    anchors: Float[Array, "m d"]
+    scale: Float[Array, " m"]
+    bias: Float[Array, " m"]
+    rise: Float[Array, " m"]
+    """Height of the tag over each anchor, where p is in the plane."""
+    present: Bool[Array, " m"]
+    """False where the reading lacks a range."""
+
+
 class AbstractMeasurementModel(eqx.Module, Generic[Z]):
     r"""Observation $z = h(x) \boxplus v$ with $v \sim N(0, R(x))$: all a filter ever sees."""
 
@@ -104,6 +116,13 @@ class AbstractMeasurementModel(eqx.Module, Generic[Z]):
         In any one unit, NaN for components without a place; None if there are no distances,
         and then filters that localise refuse the measurement. It follows from the types alone,
         before tracing: ``state`` is looked at for its class only.
+        """
+        del state
+        return None
+
+    def ranging(self, state: Any) -> Ranging | None:
+        """What is needed to find the position from its components alone; None if they are not
+        ranges to known anchors.
         """
         del state
         return None

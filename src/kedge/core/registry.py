@@ -1,7 +1,8 @@
 """Name -> class tables, filled by decorators and found by import.
 
-A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters`` or (for worlds,
-routes and faults) ``kedge/simulation`` is imported on first use, and so is every installed
+A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters``,
+``kedge/positioning`` (whose fix is a filter too) or, for worlds, routes and faults,
+``kedge/simulation`` is imported on first use, and so is every installed
 entry point of group ``kedge.<family>``. There is no list to edit.
 """
 
@@ -19,10 +20,10 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """The members of one family, defined in the modules of a ``package``."""
+    """The members of one family, defined in the modules of its ``packages``."""
 
-    def __init__(self, family: str, package: str = ""):
-        self.family, self.package = family, package or f"kedge.{family}"
+    def __init__(self, family: str, *packages: str):
+        self.family, self.packages = family, packages or (f"kedge.{family}",)
         self._members: dict[str, type[T]] = {}
         self._complete = False
 
@@ -84,9 +85,10 @@ class Registry(Generic[T]):
         if self._complete:
             return
         self._complete = True
-        package = importlib.import_module(self.package)
-        for module in pkgutil.iter_modules(package.__path__):
-            importlib.import_module(f"{self.package}.{module.name}")
+        for name in self.packages:
+            package = importlib.import_module(name)
+            for module in pkgutil.iter_modules(package.__path__):
+                importlib.import_module(f"{name}.{module.name}")
         for point in entry_points(group=f"kedge.{self.family}"):
             point.load()
 
@@ -100,7 +102,7 @@ def unknown(kind: str, name: str, known: list[str]) -> str:
 
 vehicles: Registry = Registry("vehicles")
 sensors: Registry = Registry("sensors")
-filters: Registry = Registry("filters")
+filters: Registry = Registry("filters", "kedge.filters", "kedge.positioning")
 worlds: Registry = Registry("worlds", "kedge.simulation")
 routes: Registry = Registry("routes", "kedge.simulation")
 faults: Registry = Registry("faults", "kedge.simulation")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from kedge.core.contracts import AbstractMeasurementModel
+from kedge.core.contracts import AbstractMeasurementModel, Ranging
 from kedge.core.manifolds import space, space_of
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
@@ -60,6 +60,11 @@ class Sighting(AbstractMeasurementModel):
     def distances(self, state: Any) -> Float[np.ndarray, "m n"] | None:
         """The sensor's."""
         return self.installation.sensor.distances(state)
+
+    def ranging(self, state: Any) -> Ranging | None:
+        """The sensor's, without what is missing."""
+        found = self.installation.ranging(state, self.target)
+        return None if found is None else found._replace(present=self.present)
 
     def dof(self) -> Int[Array, ""]:
         """How many components are there."""

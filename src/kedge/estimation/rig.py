@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.contracts import AbstractSensor, AbstractVehicle, Ranging
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.estimation.mount import Mount as Mount
@@ -55,6 +55,15 @@ class Installation(eqx.Module):
     def noise_variance(self, state: Any, target: Int[Array, ""]) -> Float[Array, " m"] | None:
         """Its diagonal where the components are independent by construction, else None."""
         return self.sensor.facing(target).noise_variance(self._moved(state))
+
+    def ranging(self, state: Any, target: Int[Array, ""]) -> Ranging | None:
+        """The anchors of a sensor of ranges, moved so that they say where the vehicle is."""
+        moved = self._moved(state)
+        sensor = self.sensor.facing(target)
+        found = sensor.ranging(sensor.project(moved))
+        if found is None or self.mount is None:
+            return found
+        return found._replace(anchors=found.anchors - (moved.position - state.position)[None])
 
     @property
     def targets(self) -> int | None:

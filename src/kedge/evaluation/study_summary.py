@@ -53,6 +53,7 @@ def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, di
             "ratios": {key: ratio.mean for key, ratio in ratios.items()},
             "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
         }
+        found[name]["by_time"] = by_time(study, result, results[base])
         ratios = compare(study, result, results[base], whole=True)
         found[name]["all_steps"] |= {
             "ratios": {key: ratio.mean for key, ratio in ratios.items()},
@@ -166,6 +167,26 @@ def compare(
         lower, upper = np.quantile(np.stack(again), [0.025, 0.975], axis=0)
     rows = zip(columns, middle.tolist(), lower.tolist(), upper.tolist(), strict=True)
     return {name: Interval(*row) for name, *row in rows}
+
+
+def by_time(study: Study, result: Result, other: Result) -> dict[str, dict[str, float]]:
+    """Means over times after the burn-in: of the RMSE over runs, and of its ratio to another's.
+
+    Where each time is an experiment of its own, such as a place at which a tag was put down,
+    this is the mean of their results, to which a bad place adds no more than its own.
+    """
+    settled = plan_of(study).settled
+    roots = [
+        np.sqrt(np.asarray(r.sums.squared)[settled] / max(int(r.sums.total), 1))
+        for r in (result, other)
+    ]
+    found: dict[str, dict[str, float]] = {"rmse": {}, "ratio": {}}
+    for name, cut in _states(study).slices().items():
+        own, base = (np.linalg.norm(root[:, cut], axis=1) for root in roots)
+        found["rmse"][name] = float(own.mean())
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found["ratio"][name] = float((own / base).mean())
+    return found
 
 
 def curves(study: Study, plan: Plan, result: Result) -> Curves:

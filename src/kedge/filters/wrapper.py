@@ -11,6 +11,7 @@ from kedge.core.contracts import (
     AbstractFilter,
     AbstractMeasurementModel,
     AbstractVehicle,
+    Ranging,
 )
 from kedge.core.quantities import Scalar
 from kedge.filters.extended import ExtendedKalman
@@ -62,6 +63,10 @@ class Inflated(AbstractMeasurementModel[Any]):
     def distances(self, state: Any) -> Float[np.ndarray, "m n"] | None:
         """As the model."""
         return self.model.distances(state)
+
+    def ranging(self, state: Any) -> Ranging | None:
+        """As the model."""
+        return self.model.ranging(state)
 
     def dof(self) -> Int[Array, ""] | int:
         """As the model."""

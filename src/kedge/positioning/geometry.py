@@ -1,4 +1,4 @@
-"""How anchors lie: in general position, or on a line (a plane in 3-D) that mirrors every fix."""
+"""How anchors lie: in general position, or on a line (in 3-D a plane) that mirrors a fix."""
 
 from typing import NamedTuple
 

@@ -36,9 +36,7 @@ class Links(NamedTuple):
     """Height of the tag over each anchor where it is known and x is horizontal, m."""
 
 
-def links(
-    anchors: Any, ranges: Any, std: Any = 0.1, bias: Any = 0.0, rise: Any = 0.0
-) -> Links:
+def links(anchors: Any, ranges: Any, std: Any = 0.1, bias: Any = 0.0, rise: Any = 0.0) -> Links:
     """An epoch, with one number for all anchors where they share it."""
     anchors, ranges = jnp.asarray(anchors, float), jnp.asarray(ranges, float)
     count = anchors.shape[0]

@@ -24,8 +24,11 @@ class Mixture(NamedTuple):
     share: float | Array = 0.2
 
 
+USUAL = Mixture()
+
+
 def mixture(
-    links: Links, blocked: Mixture = Mixture(), near: Float[Array, " d"] | None = None
+    links: Links, blocked: Mixture = USUAL, near: Float[Array, " d"] | None = None
 ) -> Fix:
     r"""Maximise the likelihood of errors that are a mixture of two normal distributions.
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from kedge.core.errors import ContractError
@@ -32,6 +33,7 @@ SOLVERS: dict[str, Callable[["Solver", Links, Any], Fix]] = {
     "ml": lambda own, links, near: nonlinear(
         links if own.debias else _undebiased(links), own.loss, own.tuning, near
     ),
+    "nls": lambda own, links, near: nonlinear(_alike(links), own.loss, own.tuning, near),
     "em": lambda own, links, near: mixture(
         links if own.debias else _undebiased(links),
         Mixture(own.excess_mean, own.excess_std, own.excess_share),
@@ -39,9 +41,11 @@ SOLVERS: dict[str, Callable[["Solver", Links, Any], Fix]] = {
     ),
     "tdoa": lambda own, links, near: differences(links, near),
 }
-"""Name -> what it does: least squares ("ls"), with the rows weighted as paper D has it ("wls"),
-with their full covariance ("gls"), maximum likelihood with a loss ("ml"), the mixture of line of
-sight and not ("em"), and differences ("tdoa")."""
+"""Name -> what it does.
+
+Least squares: "ls"; "wls" and "wls-mean-square" with the rows weighted as paper D has it; "gls"
+with their full covariance. Maximum likelihood with a loss: "ml"; "nls" without knowing which links
+are blocked; "em" for a mixture of line of sight and not. "tdoa" for differences."""
 
 
 class Solver(eqx.Module):
@@ -85,3 +89,9 @@ def solve_all(solver: Solver, epochs: Links) -> Fix:
 
 def _undebiased(links: Links) -> Links:
     return links._replace(bias=0.0 * links.bias)
+
+
+def _alike(links: Links) -> Links:
+    """Every link as good as the best, and without bias: nobody says which are blocked."""
+    best = jnp.min(jnp.where(jnp.isnan(links.ranges), jnp.inf, links.std))
+    return _undebiased(links._replace(std=jnp.full_like(links.std, best)))
