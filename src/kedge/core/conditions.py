@@ -14,6 +14,7 @@ from kedge.core.errors import ConfigError
 
 HEADS = (
     "all_steps",
+    "by_time",
     "coverage_95",
     "failed",
     "nees",

@@ -75,7 +75,7 @@ class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
 
 
 class Ranging(NamedTuple):
-    r"""A measurement that is ranges: $z_i = s_i \sqrt{\lVert p - a_i \rVert^2 + h_i^2} + b_i$."""
+    r"""Ranges: $z_i = s_i \sqrt{\lVert p - a_i \rVert^2 + h_i^2} + b_i$ of a position p."""
 
     anchors: Float[Array, "m d"]
     scale: Float[Array, " m"]
@@ -121,9 +121,7 @@ class AbstractMeasurementModel(eqx.Module, Generic[Z]):
         return None
 
     def ranging(self, state: Any) -> Ranging | None:
-        """What is needed to find the position from its components alone; None if they are not
-        ranges to known anchors.
-        """
+        """What a position can be found from; None if it does not measure ranges to anchors."""
         del state
         return None
 

@@ -18,7 +18,7 @@ STEPS = 40
 
 def nonlinear(
     links: Links,
-    loss: losses.Loss = "l2",
+    loss: str = "l2",
     tuning: float | Array = 0.0,
     near: Float[Array, " d"] | None = None,
     start: Float[Array, " d"] | None = None,
@@ -29,7 +29,7 @@ def nonlinear(
     Cramér-Rao bound. It starts from the linear solution; losses that turn back start from
     Huber's. ``tuning`` 0 is the usual scale, see :data:`kedge.positioning.losses.TUNING`.
 
-    Each of the :data:`STEPS` steps is Levenberg's: Gauss-Newton with the weights of the loss,
+    Each of the :data:`STEPS` steps is Marquardt's: Gauss-Newton with the curvature of the loss,
     damped by ten times more whenever the cost would rise, and then not taken.
 
     Source: P. Huber, E. Ronchetti, "Robust Statistics", 2nd ed., 2009, section 7.8; D.
@@ -73,10 +73,9 @@ def _descended(
 
     def normal(position: Array) -> tuple[Array, Array]:
         error = errors(position)
-        weights = losses.weight(loss, scale, error)
         rows = directions(links, position) * (used / links.std)[:, None]
-        lean = rows * weights[:, None]
-        return lean.T @ rows, lean.T @ error
+        bent = rows * losses.curvature(loss, scale, error)[:, None]
+        return bent.T @ rows, rows.T @ (losses.weight(loss, scale, error) * error)
 
     return descend(start, total, normal)
 

@@ -44,8 +44,8 @@ SOLVERS: dict[str, Callable[["Solver", Links, Any], Fix]] = {
 """Name -> what it does.
 
 Least squares: "ls"; "wls" and "wls-mean-square" with the rows weighted as paper D has it; "gls"
-with their full covariance. Maximum likelihood with a loss: "ml"; "nls" without knowing which links
-are blocked; "em" for a mixture of line of sight and not. "tdoa" for differences."""
+with their full covariance. Maximum likelihood with a loss: "ml"; "nls" if nobody knows which
+links are blocked; "em" for a mixture of line of sight and not. "tdoa" for differences."""
 
 
 class Solver(eqx.Module):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from kedge.core.contracts import AbstractSensor
+from kedge.core.contracts import AbstractSensor, Ranging
 from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position, Position3, Range, Ratio
 from kedge.core.registry import sensors
@@ -109,6 +109,16 @@ def _range(sensor: Any, state: Any, distance: Float[Array, ""]) -> Measurement:
     return Measurement(scale * distance + anchor.offset + state.range_bias + own)
 
 
+def _told(sensor: Any, state: Any, rise: Float[Array, ""]) -> Ranging:
+    """The range as what a position can be found from."""
+    anchor = sensor.target
+    own = anchor.own @ getattr(state, sensor.biases) if sensor.biases else 0.0
+    scale = jnp.asarray(anchor.scale * state.range_scale)
+    bias = jnp.asarray(anchor.offset + state.range_bias + own)
+    place = jnp.asarray(anchor.position)
+    return Ranging(place[None], scale[None], bias[None], rise[None], jnp.ones(1, bool))
+
+
 def _std(sensor: Any, distance: Float[Array, ""]) -> Measurement:
     """Its noise: the anchor's own where the map has one, else the sensor's."""
     own = jnp.asarray(sensor.target.std)
@@ -149,6 +159,10 @@ class Ranges(AbstractSensor[Measurement]):
     def noise_std(self, state: Any) -> Measurement:
         return _std(self, self._distance(state))
 
+    def ranging(self, state: Any) -> Ranging:
+        rise = jnp.asarray(self.tag_height - self.target.position_z)
+        return _told(self, state, rise)
+
     def _distance(self, state: Any) -> Float[Array, ""]:
         rise = jnp.asarray(self.tag_height - self.target.position_z)
         return _between(jnp.append(state.position - self.target.position, rise))
@@ -178,6 +192,9 @@ class Ranges3(AbstractSensor[Measurement]):
 
     def noise_std(self, state: Any) -> Measurement:
         return _std(self, self._distance(state))
+
+    def ranging(self, state: Any) -> Ranging:
+        return _told(self, state, jnp.zeros(()))
 
     def _distance(self, state: Any) -> Float[Array, ""]:
         return _between(state.position - self.target.position)

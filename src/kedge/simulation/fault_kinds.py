@@ -99,6 +99,36 @@ class Bias(AbstractError):
         return when.active[:, None] * constant[None]
 
 
+@faults.add("blocked")
+class Blocked(AbstractError):
+    """Ranges around obstacles: ``links`` components of each reading, at random, are longer.
+
+    By ``excess``, normal noise of ``std`` and an exponential part of mean ``tail``.
+    """
+
+    links: int = eqx.field(static=True, default=1)
+    excess: Scalar = 0.0
+    std: Scalar = 0.0
+    tail: Scalar = 0.5
+    probability: Ratio = 1.0
+    component: str = eqx.field(static=True, default="")
+
+    def __check_init__(self):
+        check(self, 0, np.inf, "links", "std", "tail")
+        check(self, 0, 1, "probability")
+
+    def draw(self, key: PRNGKeyArray, when: When, size: int) -> Float[Array, "n m"]:
+        which, there, normal, tail = jr.split(key, 4)
+        shape = len(when.time), size
+        # The rank of each component in a random order; no order has ties.
+        order = jnp.argsort(jr.uniform(which, shape), axis=1)
+        hit = jnp.argsort(order, axis=1) < self.links
+        there = when.active & (jr.uniform(there, when.time.shape) < self.probability)
+        longer = self.excess + self.std * jr.normal(normal, shape)
+        longer = longer + self.tail * jr.exponential(tail, shape)
+        return jnp.where(hit & there[:, None], longer, 0.0)
+
+
 @faults.add("drift")
 class Drift(AbstractError):
     """What is added grows since the fault began: by ``rate``, and one drawn for each run."""
