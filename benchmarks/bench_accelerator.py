@@ -74,15 +74,17 @@ def test_forms(times, dtype):
             return jax.lax.scan(cycle, filter.init(first, key), length=STEPS)[0].moments().mean
 
         def make(run=run):
-            many = jax.tree.map(lambda leaf: jnp.stack([leaf] * BATCH), cast(prior, dtype))
+            many = jax.tree.map(
+                lambda leaf: jnp.broadcast_to(leaf, (BATCH, *leaf.shape)), cast(prior, dtype)
+            )
             return jax.jit(jax.vmap(run)), many
 
         cpu, gpu, (one, other) = both(times, make)
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 if bits == 64 else 1e-2)
         cpu, gpu = (s / STEPS / BATCH * 1e9 for s in (cpu, gpu))
         times.note(
-            f"extended, {form}, float{bits}, {BATCH:,} runs: CPU {cpu:.0f} ns, GPU {gpu:.1f} ns "
-            f"a step and run ({cpu / gpu:.1f}x)"
+            f"extended, {form}, float{bits}, {BATCH:,} runs: CPU {cpu:.0f} ns, "
+            f"GPU {gpu:.1f} ns a step and run ({cpu / gpu:.1f}x)"
         )
 
 
