@@ -5,6 +5,7 @@ a sensor knows only the names of the state fields that it reads.
 """
 
 import abc
+import math
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -47,6 +48,13 @@ class AbstractVehicle(eqx.Module, Generic[S, U, W]):
     @abc.abstractmethod
     def drive(self, time: Scalar) -> U:
         """A representative control at ``time`` seconds: the default scenario."""
+
+    def longest_step(self) -> float:
+        """The longest ``dt`` in s for which ``step`` is stable; drivers refuse a longer one.
+
+        It is asked before tracing.
+        """
+        return math.inf
 
 
 class AbstractOdeVehicle(AbstractVehicle[S, U, W]):

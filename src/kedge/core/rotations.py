@@ -3,12 +3,27 @@
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 if TYPE_CHECKING:
     Scalar = float | Array
 else:
     Scalar = Float[ArrayLike, ""]
+
+
+_MATRIX = np.zeros((3, 3, 4, 4))
+"""Entries of the rotation matrix by the products of two components of the quaternion."""
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _MATRIX[_i, _i] = -np.eye(4)
+    _MATRIX[_i, _i, 0, 0] = _MATRIX[_i, _i, _i + 1, _i + 1] = 1
+    _MATRIX[_i, _j, _i + 1, _j + 1] = _MATRIX[_j, _i, _i + 1, _j + 1] = 2
+    _MATRIX[_i, _j, 0, _k + 1], _MATRIX[_j, _i, 0, _k + 1] = -2, 2
+_SPIN = np.zeros((4, 4, 3))
+"""Entries of q -> q w / 2 by the components of w."""
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _SPIN[0, _i + 1, _i], _SPIN[_i + 1, 0, _i] = -0.5, 0.5
+    _SPIN[_i + 1, _j + 1, _k], _SPIN[_i + 1, _k + 1, _j] = 0.5, -0.5
 
 
 def multiply(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
@@ -46,6 +61,18 @@ def rotate(q: Float[Array, "4"], vector: Float[Array, "3"]) -> Float[Array, "3"]
     """Express a body-frame vector in the map frame."""
     twice = 2 * jnp.cross(q[1:], vector)
     return vector + q[0] * twice + jnp.cross(q[1:], twice)
+
+
+def matrix_of(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """Rotation matrix of a quaternion, times its squared length."""
+    products = jnp.ravel(q[:, None] * q[None])
+    return jnp.dot(_MATRIX.reshape(9, 16), products).reshape(3, 3)
+
+
+def spun(q: Float[Array, "4"], rate: Float[Array, "3"]) -> Float[Array, "4"]:
+    r"""$\dot q = \tfrac12 q \otimes \omega$ for a rate in the body in rad/s."""
+    products = jnp.ravel(q[:, None] * rate[None])
+    return jnp.dot(_SPIN.reshape(4, 12), products)
 
 
 def wrap(angle: Scalar) -> Float[Array, ""]:

@@ -87,6 +87,10 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
         """The vehicle's."""
         return self.vehicle.drive(time)
 
+    def longest_step(self) -> float:
+        """The vehicle's."""
+        return self.vehicle.longest_step()
+
 
 class Wander(NamedTuple):
     """What a rig says of a slow quantity."""

@@ -1,0 +1,1 @@
+"""Sets of hydrodynamic coefficients, one TOML file each."""

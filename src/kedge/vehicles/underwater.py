@@ -1,0 +1,182 @@
+"""A torpedo-shaped underwater vehicle in six degrees of freedom."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import ContractError
+from kedge.core.quantities import (
+    Acceleration3,
+    AccelerationNoise,
+    AngularAcceleration3,
+    AngularRate3,
+    Attitude,
+    Force,
+    Position3,
+    Radians,
+    Ratio,
+    Scalar,
+    Torque,
+    Velocity3,
+    YawAccelerationNoise,
+)
+from kedge.core.registry import unknown, vehicles
+from kedge.core.rotations import conjugate, matrix_of, rotate, spun
+from kedge.numerics.stability import RULES, longest_step
+from kedge.vehicles.coefficient_files import as_coefficients
+from kedge.vehicles.hydrodynamics import Coefficients, cruise, features, modes, response
+
+
+class State(NamedTuple):
+    position: Position3
+    """Of the centre of buoyancy; east, north, up."""
+    attitude: Attitude
+    velocity_body: Velocity3
+    """Over ground, in the body: forward, left, up."""
+    angular_rate: AngularRate3
+
+
+class Control(NamedTuple):
+    thrust: Force
+    roll_torque: Torque
+    """Of the propeller, on the body; positive rolls it to the right (starboard down)."""
+    rudder: Radians
+    """Positive turns to port (to the left)."""
+    stern: Radians
+    """Positive makes the vehicle dive."""
+
+
+class Noise(NamedTuple):
+    acceleration: Acceleration3
+    angular_acceleration: AngularAcceleration3
+
+
+@vehicles.add("underwater")
+class Underwater(AbstractVehicle[State, Control, Noise]):
+    r"""Rigid body, added mass, drag, lift, fins, propeller, weight and buoyancy.
+
+    $M \dot\nu = F(\nu, \eta, u)$ with the equations of
+    :func:`kedge.vehicles.hydrodynamics.terms` through the water, which itself moves with
+    ``current`` (east, north, up): $\dot p = R(q) \nu + c$. Attitude is a quaternion, so no
+    angle is singular. The noise is an acceleration, not a force.
+
+    ``coefficients`` names a set that comes with kedge or a TOML file of your own. Fins turn to
+    the set's ``fin_limit`` at most; commands beyond it are clipped. ``integrator`` "euler" is
+    the rule of much of the literature, and makes the undamped roll grow; "rk4" is of fourth
+    order. ``thrust_scale``, ``drag_scale`` (axial) and ``current`` can be estimated as slow
+    quantities.
+
+    The REMUS hull is unstable in yaw and pitch without a pilot.
+
+    Raises:
+        ContractError: an unknown integrator.
+        ConfigError: the coefficients cannot be used.
+
+    Source: T. Prestero, "Verification of a six-degree of freedom simulation model for the
+    REMUS autonomous underwater vehicle", 2001, chapters 2 to 6; T. Fossen, "Handbook of Marine
+    Craft Hydrodynamics and Motion Control", 2011, section 8.3 (current).
+    """
+
+    coefficients: Coefficients | str = eqx.field(
+        default="remus100-adjusted", converter=as_coefficients
+    )
+    thrust_scale: Ratio = 1.0
+    drag_scale: Ratio = 1.0
+    current: Velocity3 = eqx.field(default=(0.0, 0.0, 0.0), converter=jnp.asarray)
+    acceleration_noise: AccelerationNoise = 0.02
+    angular_noise: YawAccelerationNoise = 0.02
+    integrator: str = eqx.field(static=True, default="rk4")
+
+    def __check_init__(self):
+        if self.integrator not in RULES:
+            what = unknown("integrator", self.integrator, list(RULES))
+            raise ContractError(f"underwater: {what}")
+        if np.shape(self.current) != (3,):
+            raise ContractError(
+                f"underwater: current has the shape {np.shape(self.current)}, expected 3 "
+                "components: east, north, up (m/s)"
+            )
+
+    @property
+    def hull(self) -> Coefficients:
+        """The coefficients."""
+        return as_coefficients(self.coefficients)
+
+    def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
+        reply = response(self.hull, self.drag_scale)
+        commands = self.commands(control)
+        shaken = jnp.concatenate(
+            [FLIP[:3] * noise.acceleration, FLIP[3:] * noise.angular_acceleration]
+        )
+        current = jnp.asarray(self.current)
+
+        def rates(x: Float[Array, "13"]) -> Float[Array, "13"]:
+            """Of u to r (forward, starboard, down), the position and the quaternion."""
+            velocity, quaternion = x[:6], x[9:]
+            turn = matrix_of(quaternion)
+            push = reply @ features(velocity, DOWN * turn[2], commands) + shaken
+            moved = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
+            return jnp.concatenate([push, moved, spun(quaternion, FLIP[3:] * velocity[3:])])
+
+        drift = rotate(conjugate(state.attitude), current)
+        through = FLIP * jnp.concatenate([state.velocity_body - drift, state.angular_rate])
+        x = jnp.concatenate([through, state.position, state.attitude])
+        x = integrate(self.integrator, rates, x, dt)
+        attitude = x[9:] / jnp.sqrt(x[9:] @ x[9:])
+        velocity = FLIP * x[:6]
+        drift = rotate(conjugate(attitude), current)
+        return State(x[6:9], attitude, velocity[:3] + drift, velocity[3:])
+
+    def commands(self, control: Control) -> Float[Array, "4"]:
+        """Propulsion as scaled, and fins as far as they turn."""
+        limit, scale = self.hull.fin_limit, self.thrust_scale
+        parts = [scale * control.thrust, scale * control.roll_torque]
+        parts += [jnp.clip(fin, -limit, limit) for fin in (control.rudder, control.stern)]
+        return jnp.stack([jnp.asarray(part) for part in parts])
+
+    def noise_density(self) -> Noise:
+        return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
+
+    def longest_step(self) -> float:
+        """From the modes at rest and in a straight cruise."""
+        hull = self.hull
+        found = [modes(hull, speed) for speed in (0.0, cruise(hull))]
+        return longest_step(self.integrator, np.concatenate(found))
+
+    def start(self) -> State:
+        none = jnp.zeros(3)
+        return State(none, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([1.5, 0.0, 0.0]), none)
+
+    def drive(self, time: Scalar) -> Control:
+        hull, none = self.hull, 0.0 * jnp.asarray(time)
+        fins = 0.05 * jnp.sin(0.5 * time), 0.05 * jnp.cos(0.3 * time)
+        return Control(hull.Xprop + none, hull.Kprop + none, *fins)
+
+
+FLIP: Any = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+"""From forward, left, up to forward, starboard, down, and back."""
+DOWN: Any = np.array([-1.0, 1.0, 1.0])
+"""From the map's up in the body (forward, left, up) to gravity's direction there (forward,
+starboard, down)."""
+
+
+def integrate(
+    rule: str, rates: Callable[[Array], Array], x: Float[Array, " n"], dt: Scalar
+) -> Float[Array, " n"]:
+    """One step of the classical fourth-order rule, or of Euler's.
+
+    Source: E. Hairer, S. Nørsett, G. Wanner, "Solving Ordinary Differential Equations I", 1993,
+    section II.1.
+    """
+    first = rates(x)
+    if rule == "euler":
+        return x + dt * first
+    second = rates(x + dt / 2 * first)
+    third = rates(x + dt / 2 * second)
+    fourth = rates(x + dt * third)
+    return x + dt / 6 * (first + 2 * (second + third) + fourth)
