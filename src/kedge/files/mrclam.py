@@ -11,12 +11,11 @@ import re
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import unknown
 from kedge.files.logs import RawLog, TargetMap
-from kedge.files.tables import Cells, Table, build_table, read_cells
+from kedge.files.tables import Cells, build_table, in_order, read_cells
 
 SOURCES = {
     "odometry": ("Odometry", {"speed": "m/s", "yaw_rate": "rad/s"}),
@@ -68,7 +67,7 @@ def read_mrclam(path: Path, part: str | None = None) -> RawLog:
             cells = _named(cells, subjects, notes)
         specs = {column: (column, unit) for column, unit in units.items()}
         table = build_table(cells, name, "time", "s", specs, target)
-        tables[name] = _tidied(table, notes)
+        tables[name] = in_order(table, notes)
     truth = tables.pop("truth")
     files = (barcodes.path, landmarks.path, *(t.path for t in (*tables.values(), truth)))
     title = f"{folder.name}, robot {robot}"
@@ -82,27 +81,6 @@ def _named(cells: Cells, subjects: dict[str, str], notes: list[str]) -> Cells:
         notes.append(f"camera: {count} readings of barcode {code}, which no subject wears")
     names = [subjects.get(code, f"barcode:{code}") for code in codes]
     return cells._replace(columns={**cells.columns, "target": names})
-
-
-def _tidied(table: Table, notes: list[str]) -> Table:
-    """The table in time order, each stamp (and target) once."""
-    backwards = int((np.diff(table.stamps) < 0).sum())
-    if backwards:
-        notes.append(f"{table.name}: time went backwards {backwards} times; rows were sorted")
-        table = table.take(np.argsort(table.stamps, kind="stable"))
-    if (np.diff(table.stamps) > 0).all():
-        return table
-    keys = list(zip(table.stamps.tolist(), *table.texts.values(), strict=True))
-    last = {key: row for row, key in enumerate(keys)}
-    if len(last) == len(keys):
-        return table
-    values = list(zip(keys, *(c.tolist() for c in table.columns.values()), strict=True))
-    same = len(values) - len(set(values))
-    for count, what in ((same, "identical rows"), (len(keys) - len(last) - same, "rows")):
-        if count:
-            why = "" if what == "identical rows" else ", other values; the last stays"
-            notes.append(f"{table.name}: dropped {count} {what} of a stamp used before{why}")
-    return table.take(np.array(sorted(last.values())))
 
 
 def _data_set(path: Path) -> Path:

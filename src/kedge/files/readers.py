@@ -10,6 +10,7 @@ from kedge.files.logs import RawLog
 FORMATS = {
     "folder": "kedge.files.logs:read_folder",
     "mrclam": "kedge.files.mrclam:read_mrclam",
+    "plaza": "kedge.files.plaza:read_plaza",
 }
 """Format -> ``module:function`` of (path, part or None); imported when it is asked for."""
 

@@ -221,6 +221,60 @@ def build_table(
     )
 
 
+def table_of(
+    name: str,
+    path: Path,
+    stamps: Int64[np.ndarray, " n"],
+    columns: Mapping[str, tuple[np.ndarray, str]],
+    texts: Mapping[str, Sequence[str]] | None = None,
+    lines: Int[np.ndarray, " n"] | None = None,
+) -> Table:
+    """A table of arrays, for formats that are no text: name -> values and their unit.
+
+    Without ``lines`` each row is called by its number, from 1.
+
+    Raises:
+        DataError: a unit is unknown.
+    """
+    for column, (_, unit) in columns.items():
+        if unit not in UNITS:
+            what = unknown("unit", unit, list(UNITS))
+            raise DataError(f"{path}: column {column!r}: {what}")
+    return Table(
+        name,
+        path,
+        np.asarray(stamps, np.int64),
+        {c: np.asarray(values, float) * UNITS[unit][1] for c, (values, unit) in columns.items()},
+        {column: list(values) for column, values in (texts or {}).items()},
+        np.arange(1, len(stamps) + 1) if lines is None else np.asarray(lines),
+        {column: UNITS[unit][0] for column, (_, unit) in columns.items()},
+    )
+
+
+def in_order(table: Table, notes: list[str]) -> Table:
+    """The table in time order, each stamp (and target) once; ``notes`` says what was changed.
+
+    Of several rows with one stamp the last stays, since a later message replaces the earlier.
+    """
+    backwards = int((np.diff(table.stamps) < 0).sum())
+    if backwards:
+        notes.append(f"{table.name}: time went backwards {backwards} times; rows were sorted")
+        table = table.take(np.argsort(table.stamps, kind="stable"))
+    if (np.diff(table.stamps) > 0).all():
+        return table
+    keys = list(zip(table.stamps.tolist(), *table.texts.values(), strict=True))
+    last = {key: row for row, key in enumerate(keys)}
+    if len(last) == len(keys):
+        return table
+    values = list(zip(keys, *(c.tolist() for c in table.columns.values()), strict=True))
+    same = len(values) - len(set(values))
+    for count, what in ((same, "identical rows"), (len(keys) - len(last) - same, "rows")):
+        if count:
+            why = "" if what == "identical rows" else ", other values; the last stays"
+            notes.append(f"{table.name}: dropped {count} {what} of a stamp used before{why}")
+    return table.take(np.array(sorted(last.values())))
+
+
 def check_order(table: Table, time: str) -> None:
     """Refuse time that goes backwards, and a stamp (of the same target) that comes twice.
 
