@@ -9,6 +9,7 @@ from kedge.files.logs import RawLog
 
 FORMATS = {
     "folder": "kedge.files.logs:read_folder",
+    "labyrinth": "kedge.files.labyrinth:read_labyrinth",
     "mrclam": "kedge.files.mrclam:read_mrclam",
     "plaza": "kedge.files.plaza:read_plaza",
 }

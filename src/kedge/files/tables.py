@@ -148,7 +148,7 @@ def read_cells(path: Path, header: Sequence[str] | None = None) -> Cells:
     Raises:
         DataError: the file is missing, unreadable or has no rows, or a row is ragged.
     """
-    text, rows, lines = _read_text(path), [], []
+    text, rows, lines = read_text(path), [], []
     if header is None:
         reader = csv.reader(io.StringIO(text, newline=""), strict=True)
         try:
@@ -319,7 +319,12 @@ def require_finite(table: Table, columns: Collection[str], role: str) -> None:
             )
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """The text of a file, unpacked if its name ends in .gz.
+
+    Raises:
+        DataError: it is missing or cannot be read.
+    """
     try:
         data = path.read_bytes()
         if path.suffix == ".gz":
