@@ -150,6 +150,8 @@ class PriorConfig(Strict):
     """What is believed at the start."""
 
     from_truth: list[str] = []
+    source: str | None = None
+    """Where ``from_truth`` takes the start from, if not from the truth."""
     mean: dict[str, Numbers] = {}
     std: dict[str, Spreads] = {}
     covariance: list[list[Finite]] | None = None

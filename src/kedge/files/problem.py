@@ -214,6 +214,8 @@ def _reference(raw: RawLog, truth: str) -> Table | None:
 
 
 def _pose_table(config: RigConfig, raw: RawLog, reference: Table | None) -> Table:
+    if config.prior.source is not None:
+        return find_table(raw, config.prior.source, f"{config.origin}: prior.source")
     table = raw.truth if reference is None else reference
     if table is None:
         raise DataError(

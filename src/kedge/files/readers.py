@@ -10,6 +10,7 @@ from kedge.files.logs import RawLog
 FORMATS = {
     "folder": "kedge.files.logs:read_folder",
     "labyrinth": "kedge.files.labyrinth:read_labyrinth",
+    "lias_trolley": "kedge.files.lias:read_lias",
     "mrclam": "kedge.files.mrclam:read_mrclam",
     "plaza": "kedge.files.plaza:read_plaza",
 }
