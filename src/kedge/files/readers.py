@@ -9,6 +9,7 @@ from kedge.files.logs import RawLog
 
 FORMATS = {
     "folder": "kedge.files.logs:read_folder",
+    "hanyang_uwb": "kedge.files.hanyang:read_hanyang",
     "labyrinth": "kedge.files.labyrinth:read_labyrinth",
     "lias_trolley": "kedge.files.lias:read_lias",
     "mrclam": "kedge.files.mrclam:read_mrclam",
