@@ -20,9 +20,10 @@ from kedge.apps.output import write_results
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.smoother import compile_smoother
+from kedge.evaluation.findings import principal
 from kedge.evaluation.health import concerns
 from kedge.evaluation.report import ReportContent, write_report
-from kedge.evaluation.score import Run, score
+from kedge.evaluation.score import Run, in_the_map, score
 from kedge.files.atomic import fresh_folder
 from kedge.files.filters import build_filter
 from kedge.files.problem import Problem, load_problem
@@ -170,7 +171,7 @@ def content_of(problem: Problem, runs: Sequence[Run], summary: dict[str, Any]) -
         runs=list(runs),
         recording=problem.recording,
         rig=problem.rig,
-        truth=problem.truth,
+        truth=problem.truth and in_the_map(problem.truth, principal(runs).track),
         target_names=problem.target_names,
         configuration=as_toml(problem.config),
         facts=facts,

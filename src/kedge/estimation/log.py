@@ -59,6 +59,8 @@ class Truth(NamedTuple):
     time: Float[np.ndarray, " K"]
     """s since the log's start."""
     fields: dict[str, np.ndarray]
+    own_frame: bool = False
+    """Its frame is not that of the map, and has to be found from the trajectories."""
 
 
 class Stamped(NamedTuple):

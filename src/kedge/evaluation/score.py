@@ -24,6 +24,7 @@ from kedge.evaluation.trajectory import (
     align,
     associate,
     relative_pose_error,
+    umeyama,
 )
 
 MAX_GAP = 0.5  # s; across a longer gap truth is unknown, unless it never comes more often
@@ -148,12 +149,31 @@ def score(
     }
     errors = None
     if truth is not None:
+        truth = in_the_map(truth, track)
         errors = errors_of(track, truth)
         scores |= _accuracy(errors)
         if "position" in errors.fields:
             scores |= _path_scores(track, truth)
         _add_spatial(scores, track, truth, errors)
     return Run(name, estimates, track, errors, scores)
+
+
+def in_the_map(truth: Truth, track: Track) -> Truth:
+    """A truth in a frame of its own moved onto a track, by the best rigid motion.
+
+    Only positions are moved, and orientations left out: what is left to compare is the shape.
+
+    Raises:
+        DataError: truth has no position, or the two do not overlap.
+    """
+    if not truth.own_frame:
+        return truth
+    if "position" not in truth.fields or not hasattr(track.mean, "position"):
+        raise DataError("truth in a frame of its own needs positions to be moved by")
+    known = Trajectory(truth.time, truth.fields["position"])
+    estimate, true = associate(Trajectory(track.time, track.mean.position), known, MAX_GAP)
+    moved = umeyama(true.position, estimate.position, False).apply(known)
+    return Truth(truth.time, {"position": moved.position})
 
 
 def _between(

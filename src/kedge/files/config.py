@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 from kedge.core.errors import ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
+from kedge.files.bag_config import BagConfig
 from kedge.files.filters import build_filter
 from kedge.files.models import Parameter, build_model, components, model_complaints
 from kedge.files.plugins import load_modules
@@ -170,6 +171,13 @@ class FilterConfig(Strict):
             yield f"name: {error}"
 
 
+class TruthConfig(Strict):
+    """What the truth of a log is compared with."""
+
+    own_frame: bool = False
+    """Its frame is not that of the map: it is moved onto the estimate before comparing."""
+
+
 class OutputConfig(Strict):
     """When the estimate is written, in Hz."""
 
@@ -239,6 +247,8 @@ class RigConfig(AbstractRigConfig):
 
     title: str = ""
     format: str = "folder"
+    bag: BagConfig | None = None
+    truth: TruthConfig = TruthConfig()
     control: ControlConfig | None = None
     filter: FilterConfig = FilterConfig()
     output: OutputConfig = OutputConfig()

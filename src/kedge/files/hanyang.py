@@ -1,9 +1,9 @@
 """The Hanyang University outdoor UWB runs: a tag that walks away from four anchors, RTK truth.
 
-A run is a folder: one table an anchor (``A3.csv`` and so on: stamp in ns, the anchor's place, the
-range), and ``trajectory.csv`` (stamp in ns, x, y, z in m, heading in degrees).
+A run is a folder: one table an anchor (``A3.csv`` and so on: stamp in ns, the anchor's place,
+the range), and ``trajectory.csv`` (stamp in ns, x, y, z in m, heading in degrees).
 
-Source: the data set's description, DOI 10.5281/zenodo.15226105.
+The source is the description of the data set, DOI 10.5281/zenodo.15226105.
 """
 
 import re
@@ -51,7 +51,9 @@ def read_hanyang(path: Path, part: str | None = None) -> RawLog:
     if (file := _file(folder, "trajectory")) is not None:
         specs = {f"position_{axis}": (axis, "m") for axis in "xyz"}
         specs = {column: (name, unit) for name, (column, unit) in specs.items()}
-        truth = in_order(build_table(read_cells(file), "truth", "timestamp", "ns", specs), notes)
+        truth = in_order(
+            build_table(read_cells(file), "truth", "timestamp", "ns", specs), notes
+        )
         used.append(file)
     title = "/".join(folder.parts[-3:])
     return RawLog(

@@ -1,12 +1,13 @@
-"""The "Labyrinth" set: a small differential-drive robot among UWB modules, in libRSF's text format.
+"""The "Labyrinth" set: a small robot on two wheels among UWB modules, in libRSF's text format.
 
 A line is a kind and its numbers: ``range2`` (time, range, variance, module x, y, id, snr),
 ``odom2diff`` (time, two wheel speeds, sideways speed, wheel distance, variances), ``point2``
 (time, x, y, covariance).
 
-The readme calls the first wheel the right one and 0.0785 m the distance between the wheels. Read
-like that, dead reckoning turns the wrong way and twice as far; with the first wheel left and that
-distance from the middle to a wheel, it follows the truth to some centimetres. So they are read.
+The readme calls the first wheel the right one and 0.0785 m the distance between the wheels.
+Read like that, dead reckoning turns the wrong way and twice as far; with the first wheel left
+and that distance from the middle to a wheel, it follows the truth to some centimetres. So they
+are read.
 
 Source: T. Pfeifer, P. Protzel, "Expectation-maximization for adaptive mixture models in graph
 optimization", ICRA 2019 (the set, published with libRSF).
@@ -19,7 +20,7 @@ from jaxtyping import Float
 
 from kedge.core.errors import DataError
 from kedge.files.logs import RawLog, TargetMap
-from kedge.files.tables import Cells, build_table, in_order, read_cells, read_text
+from kedge.files.tables import Cells, build_table, in_order, read_text
 
 KINDS = {
     "range2": ("time", "range", "variance", "x", "y", "target", "snr"),
@@ -109,8 +110,8 @@ def _root(cells: Cells, column: str) -> Float[np.ndarray, " n"]:
     if not (values > 0).all():
         at = int(np.argmin(values > 0))
         raise DataError(
-            f"{cells.path}:{cells.lines[at]}: column {column!r}: found {values[at]:g}, expected "
-            "a variance above 0"
+            f"{cells.path}:{cells.lines[at]}: column {column!r}: found {values[at]:g}, "
+            "expected a variance above 0"
         )
     return np.sqrt(values)
 
@@ -129,4 +130,3 @@ def _modules(ranges: Cells) -> TargetMap:
     rows = [first[name] for name in ids]
     units = {"position_x": "m", "position_y": "m"}
     return TargetMap(ids, {"position_x": x[rows], "position_y": y[rows]}, units)
-

@@ -1,10 +1,11 @@
-"""The planar trolley of LIAS-CUHKSZ: three tags, eight anchors, ranges at 100 Hz, motion capture.
+"""The planar trolley of LIAS-CUHKSZ: three tags, eight anchors, 100 Hz, motion capture.
 
-The file of ranges has no header: wall-clock time, then a0-t0, a0-t1, a0-t2, a1-t0, ... in m. The
-file of poses has one: time, x, y, z and a quaternion (w, x, y, z) of a body that is upside down.
+The file of ranges has no header: wall-clock time, then a0-t0, a0-t1, a0-t2, a1-t0, ... in m.
+The file of poses has one: time, x, y, z and a quaternion (w, x, y, z) of a body that is upside
+down.
 
-Source: H. Jiang, W. Wang, Y. Shen, X. Li, X. Ren, B. Mu, J. Wu, "Efficient planar pose estimation
-via UWB measurements", ICRA 2023.
+Source: H. Jiang, W. Wang, Y. Shen, X. Li, X. Ren, B. Mu, J. Wu, "Efficient planar pose
+estimation via UWB measurements", ICRA 2023.
 """
 
 from datetime import UTC, datetime

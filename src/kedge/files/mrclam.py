@@ -11,7 +11,6 @@ import re
 from collections import Counter
 from pathlib import Path
 
-
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import unknown
 from kedge.files.logs import RawLog, TargetMap

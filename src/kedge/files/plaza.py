@@ -1,7 +1,7 @@
 """The CMU "Plaza" sets: a mower with odometer, gyroscope and ranging radios, and RTK truth.
 
-Matrices of a MATLAB file: ``GT`` (time, x, y, heading), ``DR`` (time, distance and turn since the
-row before), ``TD`` (time, antenna, beacon, range), ``TL`` (beacon, x, y).
+Matrices of a MATLAB file: ``GT`` (time, x, y, heading), ``DR`` (time, distance and turn since
+the row before), ``TD`` (time, antenna, beacon, range), ``TL`` (beacon, x, y).
 
 Source: J. Djugash, B. Hamner, S. Roth, "Navigating with ranging radios: five data sets with
 ground truth", Journal of Field Robotics 26(9), 2009.

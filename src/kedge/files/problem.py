@@ -95,7 +95,7 @@ def load_problem(
     """
     config = load_rig_config(rig, overrides)
     build_vehicle(config)  # what does not fit is said before a long file is read
-    raw = read_log(log, config.format)
+    raw = read_log(log, config.format, config.bag)
     bare, vehicle = build_vehicle(config, raw.maps)
     notes = list(raw.notes)
     reference = _reference(raw, truth)
@@ -154,7 +154,7 @@ def load_problem(
         config=config.model_dump(mode="json", exclude_none=True),
         rig=built,
         recording=recording,
-        truth=None if reference is None else _truth(reference, bare, start, end),
+        truth=None if reference is None else _truth(config, reference, bare, start, end),
         filter=config.filter.name,
         sources=sources,
         target_names={
@@ -224,7 +224,9 @@ def _pose_table(config: RigConfig, raw: RawLog, reference: Table | None) -> Tabl
     return table
 
 
-def _truth(table: Table, vehicle: AbstractVehicle, start: int, end: int) -> Truth:
+def _truth(
+    config: RigConfig, table: Table, vehicle: AbstractVehicle, start: int, end: int
+) -> Truth:
     """The true trajectory from ``start`` to ``end``, with a pose before and behind for between.
 
     Raises:
@@ -245,7 +247,8 @@ def _truth(table: Table, vehicle: AbstractVehicle, start: int, end: int) -> Trut
     low = max(int(np.searchsorted(table.stamps, start, side="right")) - 1, 0)
     high = int(np.searchsorted(table.stamps, end, side="left")) + 1
     time = (table.stamps[low:high] - start) / SECOND
-    return Truth(time, {name: values[low:high] for name, values in fields.items()})
+    cut = {name: values[low:high] for name, values in fields.items()}
+    return Truth(time, cut, config.truth.own_frame)
 
 
 def _check_overlap(table: Table, start: int, end: int) -> None:

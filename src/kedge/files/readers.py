@@ -5,6 +5,8 @@ from pathlib import Path
 
 from kedge.core.errors import UnknownName
 from kedge.core.registry import unknown
+from kedge.files.bag_config import BagConfig
+from kedge.files.bags import read_bag
 from kedge.files.logs import RawLog
 
 FORMATS = {
@@ -18,18 +20,25 @@ FORMATS = {
 """Format -> ``module:function`` of (path, part or None); imported when it is asked for."""
 
 
-def read_log(log: str, format: str = "folder") -> RawLog:
-    """Read ``PATH`` or ``PATH#PART``.
+BAGS = "bag", "mcap"
+"""Formats whose topics a rig has to name; both read whatever kind of bag it is."""
+
+
+def read_log(log: str, format: str = "folder", bag: BagConfig | None = None) -> RawLog:
+    """Read ``PATH`` or ``PATH#PART``; ``bag`` says what the topics of a bag are.
 
     Raises:
+        ConfigError: a bag without being told its topics.
         UnknownName: no such format, or no such part.
         DataError: the log cannot be used; the message names file, line and column.
     """
-    if format not in FORMATS:
-        raise UnknownName(unknown("log format", format, sorted(FORMATS)))
+    if format not in (*FORMATS, *BAGS):
+        raise UnknownName(unknown("log format", format, sorted((*FORMATS, *BAGS))))
     path, mark, part = log.rpartition("#")
     # A folder may have the mark in its name.
     if not mark or Path(log).exists():
         path, part = log, ""
+    if format in BAGS:
+        return read_bag(Path(path), part or None, bag)
     module, _, function = FORMATS[format].partition(":")
     return getattr(importlib.import_module(module), function)(Path(path), part or None)

@@ -244,7 +244,10 @@ def table_of(
         name,
         path,
         np.asarray(stamps, np.int64),
-        {c: np.asarray(values, float) * UNITS[unit][1] for c, (values, unit) in columns.items()},
+        {
+            c: np.asarray(values, float) * UNITS[unit][1]
+            for c, (values, unit) in columns.items()
+        },
         {column: list(values) for column, values in (texts or {}).items()},
         np.arange(1, len(stamps) + 1) if lines is None else np.asarray(lines),
         {column: UNITS[unit][0] for column, (_, unit) in columns.items()},

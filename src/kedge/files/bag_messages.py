@@ -1,0 +1,135 @@
+"""The messages of ROS 1 and ROS 2 bags and of MCAP files, decoded with the definitions in them.
+
+Bags are read by ``rosbags``, single MCAP files by ``mcap``: messages as ROS 1, ROS 2 (CDR),
+Protobuf or JSON. Both come with ``pip install 'kedge[ros]'``.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kedge.core.errors import DataError
+
+
+class Message(NamedTuple):
+    """One message, not decoded yet."""
+
+    topic: str
+    type: str
+    time: int
+    """ns at which it was recorded."""
+    decode: Callable[[], Any]
+
+
+class Bag(NamedTuple):
+    """An open bag."""
+
+    topics: dict[str, str]
+    """Topic -> name of its type."""
+    messages: Callable[[set[str]], Iterator[Message]]
+    """Messages of some topics, in the order of their recording."""
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a ``.bag`` file, a ROS 2 folder, or a ``.mcap`` file.
+
+    Raises:
+        DataError: it is missing or cannot be read.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: no such file")
+    with ExitStack() as stack:
+        try:
+            if path.suffix == ".mcap":
+                bag = _mcap(path, stack)
+            else:
+                bag = _ros(path, stack)
+        except ImportError:
+            raise DataError(
+                f"{path}: reading bags needs more packages: pip install 'kedge[ros]'"
+            ) from None
+        yield bag
+
+
+def _ros(path: Path, stack: ExitStack) -> Bag:
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
+        # Old ROS 2 bags say nothing of their types: then the usual ones are meant.
+        usual = get_typestore(Stores.LATEST)
+        reader = stack.enter_context(AnyReader([path], default_typestore=usual))
+    except (AnyReaderError, OSError, ValueError, KeyError, AssertionError) as error:
+        raise DataError(f"{path}: cannot be read as a bag: {error}") from error
+
+    def messages(wanted: set[str]) -> Iterator[Message]:
+        chosen = [c for c in reader.connections if c.topic in wanted]
+        for connection, time, raw in reader.messages(connections=chosen) if chosen else ():
+            kind = connection.msgtype
+
+            def decode(raw: bytes = raw, kind: str = kind) -> Any:
+                return reader.deserialize(raw, kind)
+
+            yield Message(connection.topic, kind, time, decode)
+
+    return Bag({c.topic: c.msgtype for c in reader.connections}, messages)
+
+
+def _mcap(path: Path, stack: ExitStack) -> Bag:
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        reader = make_reader(stack.enter_context(path.open("rb")))
+        summary = reader.get_summary()
+    except (McapError, OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read as MCAP: {error}") from error
+    if summary is None:
+        raise DataError(f"{path}: the MCAP file has no summary: it was not closed properly")
+    schemas = summary.schemas
+    kinds = {
+        channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else "?"
+        for channel in summary.channels.values()
+    }
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+
+    def messages(wanted: set[str]) -> Iterator[Message]:
+        for schema, channel, message in reader.iter_messages(topics=sorted(wanted)):
+
+            def decode(schema=schema, channel=channel, message=message) -> Any:
+                if channel.id not in decoders:
+                    decoders[channel.id] = _decoder(channel.message_encoding, schema, message)
+                return decoders[channel.id](message.data)
+
+            yield Message(channel.topic, kinds[channel.topic], message.log_time, decode)
+
+    return Bag(kinds, messages)
+
+
+def _decoder(encoding: str, schema: Any, message: Any) -> Callable[[bytes], Any]:
+    """How messages of a channel are decoded; ValueError if nobody knows.
+
+    Raises:
+        ValueError: the encoding is none of ros1, cdr, protobuf, json.
+    """
+    if encoding == "json":
+        return json.loads
+    if encoding == "protobuf":
+        from mcap_protobuf.decoder import DecoderFactory
+
+        found = DecoderFactory().decoder_for(encoding, schema)
+        if found is not None:
+            return found
+    if encoding in ("ros1", "cdr") and schema is not None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.EMPTY)
+        kind = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+        store.register(get_types_from_msg(schema.data.decode(), kind))
+        if encoding == "ros1":
+            return lambda data: store.deserialize_ros1(data, kind)
+        return lambda data: store.deserialize_cdr(data, kind)
+    raise ValueError(f"messages encoded as {encoding!r}, expected ros1, cdr, protobuf or json")
