@@ -50,6 +50,7 @@ DEAR = {
     "fuzzy-noise",
     "gauss-hermite",
     "guided",
+    "hypotheses",
     "interacting",
     "posterior-linearisation",
     "serial-enkf",

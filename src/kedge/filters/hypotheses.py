@@ -40,7 +40,7 @@ class Hypotheses(AbstractFilter[Mixture]):
 
     What turns is the state's ``heading`` or, without one, its ``attitude`` about the map's
     vertical axis, for a vehicle that starts about level. The prior's variance of it is not
-    looked at.
+    looked at. With neither there is one start, and all hypotheses are the same.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 11.6.2 (static multiple models); M. Roth, E. Özkan,
@@ -63,10 +63,16 @@ class Hypotheses(AbstractFilter[Mixture]):
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Mixture:
         """Turned copies of the prior, all equally likely."""
         del key
+        weights = jnp.full(self.count, -jnp.log(self.count))
         field = _turning(prior.mean)
+        if field is None:
+            copies = jax.tree.map(
+                lambda leaf: jnp.stack([jnp.asarray(leaf)] * self.count), prior
+            )
+            return Mixture(copies, weights)
         place = space(prior.mean).slices()[field].stop - 1
         gap = 2 * jnp.pi / self.count
-        # Half the gap is two standard deviations: neighbours overlap a little.
+        # Neighbours meet at one and a half standard deviations.
         cov = prior.cov.at[place, :].set(0.0).at[:, place].set(0.0)
         cov = cov.at[place, place].set((gap / 3) ** 2)
 
@@ -74,7 +80,7 @@ class Hypotheses(AbstractFilter[Mixture]):
             return Gaussian(_turn(prior.mean, field, angle), cov)
 
         components = jax.vmap(turned)(gap * jnp.arange(self.count))
-        return Mixture(components, jnp.full(self.count, -jnp.log(self.count)))
+        return Mixture(components, weights)
 
     def predict(
         self,
@@ -126,18 +132,12 @@ class Hypotheses(AbstractFilter[Mixture]):
         )
 
 
-def _turning(state: Any) -> str:
-    """Name of the field that has a heading.
-
-    Raises:
-        ContractError: there is none.
-    """
+def _turning(state: Any) -> str | None:
+    """Name of the field that has a heading, if there is one."""
     charts = charts_of(type(state))
-    for name, kind in (("heading", Circle), ("attitude", Rotation)):
-        if isinstance(charts.get(name), kind):
-            return name
-    raise ContractError(
-        f"hypotheses: the state {sorted(charts)} has neither heading nor attitude to turn"
+    kinds = {"heading": Circle, "attitude": Rotation}
+    return next(
+        (name for name, kind in kinds.items() if isinstance(charts.get(name), kind)), None
     )
 
 

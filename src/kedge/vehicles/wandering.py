@@ -39,8 +39,8 @@ class Wandering(AbstractVehicle[State, Control, Noise]):
 
     $\dot p = v,\ \dot v = -v / \tau + w$, exact for an acceleration held over the step. With
     the density q of w, the velocity has the standard deviation $q \sqrt{\tau / 2}$ in each
-    axis: a prior of how fast one walks, where ``constant-velocity`` has none. Without readings it
-    comes to rest after $\tau v$ metres, instead of running on for ever.
+    axis: a prior of how fast one walks, where ``constant-velocity`` has none. Without readings
+    it comes to rest after $\tau v$ metres, instead of running on for ever.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 4.3.1 (the first-order Gauss-Markov process, for a velocity).
