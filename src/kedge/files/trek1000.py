@@ -81,7 +81,7 @@ def _file(path: Path, part: str | None) -> Path:
 
 
 def _stamps(cells: Cells) -> np.ndarray:
-    """ns since midnight from HHMMSSmmm.
+    """Times since midnight in ns, from HHMMSSmmm.
 
     Raises:
         DataError: a time that no clock shows, or that goes backwards.
