@@ -16,6 +16,7 @@ FORMATS = {
     "lias_trolley": "kedge.files.lias:read_lias",
     "mrclam": "kedge.files.mrclam:read_mrclam",
     "plaza": "kedge.files.plaza:read_plaza",
+    "starloc": "kedge.files.starloc:read_starloc",
     "trek1000": "kedge.files.trek1000:read_trek1000",
 }
 """Format -> ``module:function`` of (path, part or None); imported when it is asked for."""
