@@ -103,10 +103,10 @@ def _matrix(path: Path, name: str) -> Float[np.ndarray, "n k"]:
 def _contents(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    if not path.is_file():
+        raise DataError(f"{path}: no such file")
     try:
         return loadmat(path)
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
     except (OSError, ValueError, NotImplementedError, TypeError) as error:
         raise DataError(f"{path}: cannot be read as a MATLAB file: {error}") from error
 
