@@ -102,12 +102,13 @@ def _matrix(path: Path, name: str) -> Float[np.ndarray, "n k"]:
 
 def _contents(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     try:
         return loadmat(path)
-    except (OSError, ValueError, NotImplementedError, TypeError) as error:
+    except (OSError, ValueError, NotImplementedError, TypeError, MatReadError) as error:
         raise DataError(f"{path}: cannot be read as a MATLAB file: {error}") from error
 
 
