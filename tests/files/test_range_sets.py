@@ -55,7 +55,7 @@ def test_what_is_wrong_with_a_plaza_file(tmp_path):
     for change, pattern in (
         ({"TL": np.zeros((2, 2))}, r"TL: found shape \(2, 2\), expected rows of 3"),
         ({"TD": np.array([[1, 2, 3, np.nan]] * 2)}, "TD: row 1: expected finite"),
-        ({"DR": good["DR"][::-1]}, "DR: row 2: found time that does not go forwards"),
+        ({"DR": good["DR"][[0, 2, 1]]}, "DR: row 3: found time that does not go forwards"),
     ):
         savemat(path, good | change)
         with pytest.raises(DataError, match=pattern):
