@@ -32,6 +32,11 @@ SteeringAngle = Annotated[Scalar, Euclidean("rad")]
 Force = Annotated[Scalar, Euclidean("N")]
 Torque = Annotated[Scalar, Euclidean("N m")]
 
+# Parameters with three axes: one number for all of them, or one each.
+AngularRateOffset3 = Annotated[Scalar | Float[Array, "3"], Euclidean("rad/s", (3,))]
+AccelerationOffset3 = Annotated[Scalar | Float[Array, "3"], Euclidean("m/s^2", (3,))]
+Ratio3 = Annotated[Scalar | Float[Array, "3"], Euclidean("1", (3,))]
+
 # Parameters of models: a plain number in the class body, an array once a driver runs it.
 Metres = Annotated[Scalar, Euclidean("m")]
 Radians = Annotated[Scalar, Euclidean("rad")]
