@@ -19,6 +19,7 @@ from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
 from kedge.files.bag_config import BagConfig
 from kedge.files.filters import build_filter
+from kedge.files.inertial import Sampling
 from kedge.files.models import Parameter, build_model, components, model_complaints
 from kedge.files.plugins import load_modules
 from kedge.files.toml import Strict, read_toml
@@ -62,6 +63,7 @@ class ControlConfig(Strict):
 
     source: str
     columns: dict[str, str] = {}
+    sampling: Sampling = "previous"
 
 
 class MountConfig(Strict):

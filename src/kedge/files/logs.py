@@ -56,6 +56,9 @@ class RawLog(NamedTuple):
     """What the reader changed, for the user to see."""
     epoch: str = ""
     """What stamp 0 means."""
+    place: dict[str, float] = {}
+    """Where it was taken: ``latitude`` (rad) and ``height`` (m) of the map's origin, for
+    vehicles that ask for them."""
 
 
 class ColumnConfig(Strict):

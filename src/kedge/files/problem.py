@@ -1,5 +1,6 @@
 """From a rig file and a log to what a filter runs on: rig, recording, truth, provenance."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float, Int, Int64
 from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, charts_of
-from kedge.core.registry import unknown
+from kedge.core.registry import unknown, vehicles
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
 from kedge.estimation.rig import Rig
 from kedge.files.building import (
@@ -99,7 +100,7 @@ def load_problem(
     bare, vehicle = build_vehicle(config, raw.maps)
     notes = list(raw.notes)
     reference = _reference(raw, truth)
-    control_stamps, controls = read_controls(config, raw, bare)
+    control_stamps, controls = read_controls(config, raw, bare, notes)
     plain = {name: build_sensor(config, name, raw.maps) for name in config.sensors}
     stamped, sources = {}, {}
     for name, sensor in config.sensors.items():
@@ -165,6 +166,16 @@ def load_problem(
         notes=notes,
         inputs_digest=digest_inputs(raw),
     )
+
+
+def _placed(config: RigConfig, raw: RawLog) -> RigConfig:
+    """The rig, with what the log knows of its place if the vehicle asks for it."""
+    known = {field.name for field in dataclasses.fields(vehicles.get(config.vehicle.model))}
+    told = {name: value for name, value in raw.place.items() if name in known}
+    own = config.vehicle.model_copy(update={"parameters": told | config.vehicle.parameters})
+    placed = config.model_copy(update={"vehicle": own})
+    placed._origin = config.origin
+    return placed
 
 
 def _check_span(

@@ -15,6 +15,7 @@ FORMATS = {
     "labyrinth": "kedge.files.labyrinth:read_labyrinth",
     "lias_trolley": "kedge.files.lias:read_lias",
     "mrclam": "kedge.files.mrclam:read_mrclam",
+    "navego_synthetic": "kedge.files.navego:read_navego",
     "plaza": "kedge.files.plaza:read_plaza",
     "starloc": "kedge.files.starloc:read_starloc",
     "trek1000": "kedge.files.trek1000:read_trek1000",

@@ -13,6 +13,7 @@ from kedge.core.manifolds import charts_of, space_of
 from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND, Readings, Stamped
 from kedge.files.config import AbstractRigConfig, RigConfig, SensorConfig
+from kedge.files.inertial import SLOPE, held, question, unit_of
 from kedge.files.logs import RawLog, TargetMap
 from kedge.files.models import columns_of, components
 from kedge.files.tables import Table, require_finite
@@ -63,21 +64,31 @@ def join(
 
 
 def read_controls(
-    config: RigConfig, raw: RawLog, vehicle: AbstractVehicle
+    config: RigConfig, raw: RawLog, vehicle: AbstractVehicle, notes: list[str]
 ) -> tuple[Int64[np.ndarray, " n"], Any]:
     """The stamps and values of the vehicle's control; no stamps if it is not driven.
 
+    What is odd about them goes into ``notes``.
+
     Raises:
-        DataError: a column is missing, of another unit or not complete.
+        DataError: a column is missing, of another unit or not complete, or an inertial
+            measurement unit cannot have read this.
     """
     cls = type(vehicle.drive(0.0))
     if config.control is None:
         return np.zeros(0, np.int64), cls()
     table = find_table(raw, config.control.source, f"{config.origin}: control.source")
-    columns = find_columns(table, components(cls), config.control.columns, "control")
+    sampling, units = config.control.sampling, components(cls)
+    wanted = {part: unit_of(u, sampling) for part, u in units.items() if SLOPE not in part}
+    columns = find_columns(table, wanted, config.control.columns, "control")
     names = [config.control.columns.get(part, part) for part in columns]
     require_finite(table, names, "a control")
-    return table.stamps, _fields(cls, columns, len(table.stamps))
+    if sampling != "previous" or len(wanted) < len(units):
+        columns = held(table.stamps, columns, sampling)
+    controls = _fields(cls, columns, len(table.stamps))
+    if hasattr(controls, "specific_force"):
+        notes += question(table, controls.specific_force, controls.angular_rate)
+    return table.stamps, controls
 
 
 def map_of(config: AbstractRigConfig, name: str, maps: Mapping[str, TargetMap]) -> TargetMap:
