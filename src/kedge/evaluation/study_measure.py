@@ -17,7 +17,7 @@ from kedge.estimation.batch import Estimates, pass_over
 from kedge.estimation.log import Log
 from kedge.evaluation.consistency import chi_square_bound
 from kedge.evaluation.study_scores import RunScores, TimeSums
-from kedge.numerics.linalg import UNROLLED, cholesky, solve_lower
+from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS, cholesky, solve_lower
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import Simulation, with_readings
 
@@ -69,7 +69,7 @@ def _measure(
         actual = jax.tree.map(lambda leaf: leaf[plan.steps], true.truth)
         error = jax.vmap(states.boxminus)(actual, believed)
         nees = jnp.full(len(plan.events), jnp.nan)
-        if states.size <= UNROLLED:
+        if states.size <= UNROLLED_COLUMNS:
             roots = jax.vmap(cholesky)(moments.cov[plan.events])
             nees = jnp.sum(jax.vmap(solve_lower)(roots, error) ** 2, axis=1)
         tracked = _tracked(scenario, true)

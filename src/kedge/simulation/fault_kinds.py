@@ -174,6 +174,29 @@ class Outliers(AbstractReadingFault):
         return space(reading).boxplus(reading, jnp.where(chosen, drawn * std, 0.0))
 
 
+@faults.add("excess")
+class Excess(AbstractError):
+    """What comes on a detour: ``offset`` and an exponential with a ``mean`` are added.
+
+    For ranges without a line of sight, which are never too short.
+    """
+
+    offset: Scalar = 0.0
+    mean: Scalar = 0.5
+    probability: Ratio = 1.0
+    component: str = eqx.field(static=True, default="")
+
+    def __check_init__(self):
+        check(self, 0, 1, "probability")
+        check(self, 0, np.inf, "mean")
+
+    def draw(self, key: PRNGKeyArray, when: When, size: int) -> Float[Array, "n m"]:
+        there_key, length_key = jr.split(key)
+        there = jr.uniform(there_key, when.time.shape) < self.probability
+        length = self.offset + self.mean * jr.exponential(length_key, (len(when.time), size))
+        return jnp.where((when.active & there)[:, None], length, 0.0)
+
+
 @faults.add("quantisation")
 class Quantisation(AbstractReadingFault):
     """Components are rounded to whole steps."""
