@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -105,7 +106,8 @@ def errors(
     r"""Errors of one run: turn-on bias, random walk, flicker and white noise.
 
     White: std $N / \sqrt{\Delta t}$. Walk: $K \sqrt{\Delta t}$ a step. Flicker of the level
-    B is a sum of first-order processes with times 4 apart; without ``instability`` there is none.
+    B is a sum of first-order processes with times 4 apart; there is none without
+    ``instability``.
 
     Source: IEEE Std 952, "IEEE standard specification format guide and test procedure for
     single-axis interferometric fiber optic gyros", 1997, annex C.
@@ -138,18 +140,19 @@ def errors(
     return Errors(force + accelerometer, rate + gyroscope, accelerometer, gyroscope)
 
 
-FLICKER_TIMES = 4.0 ** jnp.arange(-1, 7)  # s; 0.25 to 4096
+FLICKER_TIMES = 4.0 ** np.arange(-1, 7)  # s; 0.25 to 4096
 FLICKER_STD = (math.log(4.0) / math.pi) ** 0.5
 """Of each process for B = 1: their spectra add up to B^2 / (2 pi f)."""
 
 
 def _flicker(steps: int, dt: Scalar, key: PRNGKeyArray) -> Float[Array, "K 3"]:
-    decay = jnp.exp(-dt / FLICKER_TIMES)
+    kept = jnp.exp(-dt / FLICKER_TIMES)
+    fresh = jnp.sqrt(1 - kept**2)
     shocks = jr.normal(key, (steps, 3, len(FLICKER_TIMES)))
     first = shocks[0]
 
     def body(state: Array, shock: Array) -> tuple[Array, Array]:
-        state = decay * state + jnp.sqrt(1 - decay**2) * shock
+        state = kept[None] * state + fresh[None] * shock
         return state, jnp.sum(state, axis=-1)
 
     return FLICKER_STD * lax.scan(body, first, shocks)[1]
