@@ -45,7 +45,8 @@ def read_navego(path: Path, part: str | None = None) -> RawLog:
     files = {key: path / f"{key}.mat" for key in ("ref", "gnss", name)}
     ref, gnss, imu = (_struct(file, key) for key, file in files.items())
     truth = {key: _column(ref, files["ref"], key) for key in ("lat", "lon", "h")}
-    origin = Origin(*(float(values[0]) for values in truth.values()))
+    latitude, longitude, height = (float(values[0]) for values in truth.values())
+    origin = Origin(latitude, longitude, height)
 
     tables = {
         "imu": _table(
@@ -71,7 +72,7 @@ def read_navego(path: Path, part: str | None = None) -> RawLog:
         reference,
         files=tuple(files.values()),
         epoch="start of the simulation",
-        place={"latitude": origin.latitude, "height": origin.height},
+        place={"latitude": latitude, "height": height},
     )
 
 

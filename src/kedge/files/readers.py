@@ -10,6 +10,7 @@ from kedge.files.bags import read_bag
 from kedge.files.logs import RawLog
 
 FORMATS = {
+    "euroc_mh01_imu": "kedge.files.euroc:read_euroc",
     "folder": "kedge.files.logs:read_folder",
     "hanyang_uwb": "kedge.files.hanyang:read_hanyang",
     "labyrinth": "kedge.files.labyrinth:read_labyrinth",

@@ -87,6 +87,15 @@ def read_tum(path: str | os.PathLike[str]) -> TumPoses:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read as a TUM trajectory: {error}") from error
+    return parse_tum(path, text)
+
+
+def parse_tum(path: str | os.PathLike[str], text: str) -> TumPoses:
+    """The poses of a file's text.
+
+    Raises:
+        DataError: as for :func:`read_tum`.
+    """
     stamps: list[int] = []
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
