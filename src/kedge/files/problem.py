@@ -97,7 +97,7 @@ def load_problem(
     config = load_rig_config(rig, overrides)
     build_vehicle(config)  # what does not fit is said before a long file is read
     raw = read_log(log, config.format, config.bag)
-    bare, vehicle = build_vehicle(config, raw.maps)
+    bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)
     notes = list(raw.notes)
     reference = _reference(raw, truth)
     control_stamps, controls = read_controls(config, raw, bare, notes)
