@@ -43,7 +43,7 @@ class EnsembleHistory(NamedTuple):
 
 def is_smoothable(filter: AbstractFilter) -> bool:
     """Whether a filter's predictions can be smoothed: its own, or those of what it wraps."""
-    inner = _innermost(filter)
+    inner = innermost(filter)
     return isinstance(inner, AbstractGaussianFilter | AbstractEnsembleFilter)
 
 
@@ -55,7 +55,7 @@ def require_smoothable(filter: AbstractFilter) -> None:
     """
     if not is_smoothable(filter):
         raise ContractError(
-            f"{type(_innermost(filter)).__name__} cannot be smoothed: it carries neither a "
+            f"{type(innermost(filter)).__name__} cannot be smoothed: it carries neither a "
             "Gaussian nor an ensemble; use for example 'extended', 'unscented' or 'ensemble'"
         )
 
@@ -125,7 +125,8 @@ def _pseudo_inverse(anomalies: Float[Array, "N n"]) -> Float[Array, "n N"]:
     return anomalies.T @ middle if parts.by_row else middle @ anomalies.T
 
 
-def _innermost(filter: AbstractFilter) -> AbstractFilter:
+def innermost(filter: AbstractFilter) -> AbstractFilter:
+    """The filter that all the wrappers are around."""
     while isinstance(filter, AbstractWrapper):
         filter = filter.inner
     return filter

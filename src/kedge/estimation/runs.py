@@ -1,6 +1,6 @@
 """Many runs of one schedule: Monte Carlo, batched in chunks that the cores share."""
 
-import os
+import functools as ft
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,9 +13,11 @@ from jaxtyping import Array, Int, PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
-from kedge.estimation.batch import Estimates, pass_over
+from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.traced import Estimates, pass_over
+from kedge.numerics.native.kernel import cores
 
 CHUNK = 125
 """Runs batched in one call: enough for the vector units, few enough for the cache."""
@@ -28,6 +30,7 @@ def estimate_runs(
     key: PRNGKeyArray | None = None,
     keep: Callable[[Estimates], Any] = lambda estimates: estimates,
     chunk: int = CHUNK,
+    engine: Engine = "auto",
 ) -> Any:
     """Run ``filter`` over logs that share a schedule; results have a leading run axis.
 
@@ -37,6 +40,7 @@ def estimate_runs(
 
     Raises:
         DataError: there are no runs, or not equally many everywhere.
+        ContractError: the engine asked for cannot run this.
     """
     counts = {leaf.shape[0] for leaf in jax.tree.leaves((log.controls, log.readings))}
     if len(counts) != 1 or 0 in counts:
@@ -45,19 +49,25 @@ def estimate_runs(
     filter, rig, log = as_arrays((filter, rig, log))
     key = jr.key(0) if key is None else key
     begins = range(0, count, chunk)
+    shared, own = ft.partial(jax.tree.map, lambda _: False), ft.partial(jax.tree.map, lambda _: True)
+    flags = shared((filter, rig)), Log(shared(log.schedule), own(log.controls), own(log.readings))
+    native = compiled_pass(filter, rig, log, False, engine, keep, flags)
 
     def part(begin: int) -> Any:
         index = jnp.arange(begin, min(begin + chunk, count))
         own = jax.tree.map(
             lambda leaf: leaf[begin : begin + chunk], (log.controls, log.readings)
         )
+        if native is not None:
+            some = Log(log.schedule, *own)
+            return jax.block_until_ready(native.over(filter, rig, some, len(index)))
         return jax.block_until_ready(
             _some(filter, rig, Log(log.schedule, *own), index, key, keep)
         )
 
     # The first call compiles; then the compiled program runs outside Python's lock.
     parts = [part(0)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         parts += pool.map(part, begins[1:])
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 

@@ -1,0 +1,210 @@
+"""Traces the pass once for logs of any length, compiles it, and runs it over arrays."""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jax.extend.core import Literal
+
+from kedge.core.contracts import AbstractFilter
+from kedge.estimation.log import Log
+from kedge.estimation.rig import Rig
+from kedge.estimation.traced import Estimates, pass_over
+from kedge.numerics.native.graph import Unsupported
+from kedge.numerics.native.kernel import Kernel, prepared
+from kedge.numerics.native.program import Argument, build
+from kedge.numerics.native.values import kind_of
+
+ROWS = 2
+"""In place of however many events or readings there are, while the program is traced."""
+
+
+Keep = Callable[[Estimates], Any] | None
+Shapes = tuple[tuple[tuple[int, ...], str], ...]
+
+
+class Traced(NamedTuple):
+    """The traced program, and how it is called."""
+
+    jaxpr: Any
+    arguments: list[Argument]
+    results: Any
+    """Shapes of the results, for a log of :data:`ROWS` events."""
+
+
+class NativePass:
+    """A compiled pass: of one run, or of runs side by side that share a schedule."""
+
+    def __init__(self, traced: Traced, own: Sequence[bool] | None, wanted: frozenset[int] | None):
+        batched = own is not None
+        flags = own or [False] * len(traced.arguments)
+        arguments = [a._replace(own=o) for a, o in zip(traced.arguments, flags, strict=True)]
+        program = build(traced.jaxpr, [*arguments, None], batched)
+        if wanted is not None:
+            kept = [i for i, place in enumerate(program.places) if place in wanted]
+            program = program._replace(
+                outputs=[program.outputs[i] for i in kept],
+                places=[program.places[i] for i in kept],
+            )
+        self.kernel = Kernel(program, batched)
+        self.arguments, self.own = arguments, flags
+        self.results = jax.tree.structure(traced.results)
+
+    def arrays(self, leaves: Sequence[Any]) -> list[np.ndarray | None]:
+        """The arguments as the machine code reads them."""
+        pairs = zip(leaves, self.arguments, strict=True)
+        return [*(prepared(leaf, argument.kind) for leaf, argument in pairs), None]
+
+    def raw(self, leaves: Sequence[Any], events: int, runs: int) -> list[np.ndarray]:
+        """The results as the machine code leaves them: by group of runs, event, place, run."""
+        outputs = self.kernel.fresh(events, runs)
+        self.kernel.run(self.arrays(leaves), outputs, events, runs)
+        return outputs
+
+    def tree(self, leaves: Sequence[Any], found: Sequence[Any]) -> Any:
+        """Results in the form that the traced program has; None where they are not wanted."""
+        flat: list[Any] = [None] * self.results.num_leaves
+        for place, number in self.kernel.passed.items():
+            flat[place] = leaves[number]
+        for place, value in zip(self.kernel.places, found, strict=True):
+            flat[place] = value
+        return jax.tree.unflatten(self.results, flat)
+
+
+class One:
+    """A pass over one log."""
+
+    def __init__(self, compiled: NativePass, keep: Keep, history: bool):
+        self.compiled, self.keep, self.history = compiled, keep, history
+
+    def over(self, filter: AbstractFilter, rig: Rig, log: Log) -> Any:
+        """Estimates, with the history if it was asked for, or what ``keep`` picks."""
+        return self.bound(filter, rig, log)()
+
+    def bound(self, filter: AbstractFilter, rig: Rig, log: Log) -> Callable[[], Any]:
+        """The pass over that log as a call."""
+        leaves = jax.tree.leaves((filter, rig, log))
+        arrays = self.compiled.arrays(leaves)
+        kernel, events = self.compiled.kernel, log.schedule.time.shape[0]
+
+        def call() -> Any:
+            outputs = kernel.fresh(events, 1)
+            kernel.run(arrays, outputs, events)
+            found = jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
+            estimates, history = self.compiled.tree(leaves, found)
+            if self.keep is not None:
+                return _picked(self.keep, estimates)
+            return (estimates, history) if self.history else estimates
+
+        return call
+
+
+class Many:
+    """A pass over the logs of several runs."""
+
+    def __init__(self, compiled: NativePass, keep: Keep):
+        self.compiled, self.keep = compiled, keep
+
+    def over(self, filter: AbstractFilter, rig: Rig, log: Log, runs: int) -> Any:
+        """What ``keep`` picks of each run, with a leading axis of runs."""
+        leaves = jax.tree.leaves((filter, rig, log))
+        events = log.schedule.time.shape[0]
+        raw = self.compiled.raw(leaves, events, runs)
+        passed = [leaves[number] for number in self.compiled.kernel.passed.values()]
+        return _unpacked(self.compiled, self.keep, runs, raw, passed)
+
+
+@eqx.filter_jit
+def _picked(keep: Callable[[Estimates], Any], estimates: Estimates) -> Any:
+    return keep(estimates)
+
+
+@eqx.filter_jit
+def _unpacked(
+    compiled: NativePass, keep: Keep, runs: int, raw: list[Any], passed: list[Any]
+) -> Any:
+    """Results run by run, and of each what is kept; one compiled program."""
+    kernel = compiled.kernel
+
+    def by_run(array: Any) -> Any:
+        moved = jnp.moveaxis(array, -1, 1)
+        return moved.reshape(-1, *moved.shape[2:])[:runs]
+
+    def one(own: list[Any]) -> Any:
+        flat: list[Any] = [None] * compiled.results.num_leaves
+        for place, value in zip(kernel.passed, passed, strict=True):
+            flat[place] = value
+        for place, value in zip(kernel.places, own, strict=True):
+            flat[place] = value
+        estimates, _ = jax.tree.unflatten(compiled.results, flat)
+        return estimates if keep is None else keep(estimates)
+
+    return jax.vmap(one)([by_run(array) for array in raw])
+
+
+def native_pass(
+    filter: AbstractFilter, rig: Rig, log: Log, history: bool, keep: Keep, own: Any
+) -> One | Many:
+    """The compiled pass for this structure and these shapes; compiled once in a process.
+
+    Raises:
+        Unsupported: the program is not straight-line code, or too large.
+    """
+    if log.schedule.time.shape[0] == 0:
+        raise Unsupported("a log without events")
+    leaves, structure = jax.tree.flatten((filter, rig, log))
+    flags = None if own is None else tuple(jax.tree.leaves(own))
+    of_log = len(jax.tree.leaves(log))
+    shapes = []
+    for number, leaf in enumerate(leaves):
+        shape = leaf.shape[1:] if flags is not None and flags[number] else leaf.shape
+        if number >= len(leaves) - of_log:
+            shape = (min(shape[0], ROWS), *shape[1:])
+        shapes.append((shape, str(leaf.dtype)))
+    traced = _traced(structure, tuple(shapes), of_log, history)
+    wanted = None if keep is None else _wanted(traced, keep)
+    compiled = _compiled(structure, tuple(shapes), of_log, history, flags, wanted)
+    return One(compiled, keep, history) if flags is None else Many(compiled, keep)
+
+
+@ft.lru_cache(maxsize=64)
+def _traced(structure: Any, shapes: Shapes, of_log: int, history: bool) -> Traced:
+    arrays = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes]
+
+    def program(leaves: list[Any], key: Any) -> Any:
+        return pass_over(*jax.tree.unflatten(structure, leaves), key, history)
+
+    jaxpr, results = jax.make_jaxpr(program, return_shape=True)(arrays, jr.key(0))
+    first = len(shapes) - of_log
+    arguments = [
+        Argument(kind_of(dtype), shape, False, number >= first and shape[0] > 0)
+        for number, (shape, dtype) in enumerate(shapes)
+    ]
+    return Traced(jaxpr, arguments, results)
+
+
+@ft.lru_cache(maxsize=64)
+def _compiled(
+    structure: Any,
+    shapes: Shapes,
+    of_log: int,
+    history: bool,
+    flags: tuple[bool, ...] | None,
+    wanted: frozenset[int] | None,
+) -> NativePass:
+    return NativePass(_traced(structure, shapes, of_log, history), flags, wanted)
+
+
+def _wanted(traced: Traced, keep: Callable[[Estimates], Any]) -> frozenset[int]:
+    """Numbers of the results that ``keep`` looks at."""
+    jaxpr = jax.make_jaxpr(lambda both: keep(both[0]))(traced.results).jaxpr
+    live = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}
+    for equation in reversed(jaxpr.eqns):
+        if live.intersection(equation.outvars):
+            live.update(a for a in equation.invars if not isinstance(a, Literal))
+    return frozenset(i for i, variable in enumerate(jaxpr.invars) if variable in live)

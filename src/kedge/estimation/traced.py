@@ -1,0 +1,76 @@
+"""The pass over a log as a program that JAX traces: what every engine computes."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter
+from kedge.core.verdicts import Verdict
+from kedge.estimation.log import Log
+from kedge.estimation.passage import is_smoothable, passage
+from kedge.estimation.rig import Rig
+from kedge.estimation.step import (
+    Outcome,
+    Standing,
+    advance,
+    begin,
+    condition,
+    event_keys,
+)
+
+
+class Estimates(NamedTuple):
+    """What a filter believed after each event, and what became of each reading."""
+
+    time: Float[Array, "*T"]
+    moments: Gaussian
+    outcome: Outcome
+
+
+def pass_over(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
+) -> tuple[Estimates, Any]:
+    """Scan a filter over a log, for callers that batch or compile it themselves.
+
+    Parameters must be arrays already; with ``keep`` the second result is the history.
+    """
+
+    def predict(belief, control, dt, key):
+        motion = filter, rig.vehicle, belief, control, dt, key
+        if keep and is_smoothable(filter):
+            return passage(*motion)
+        return advance(*motion), None
+
+    def body(carry: tuple[Standing, Any, Any, Any], event: Any) -> tuple[Any, Any]:
+        standing, last, moves, takes = carry
+        (time, sensor, row), control = event
+        # Older than the belief: nothing happens, and the event does not count (as online).
+        late = time < last
+        moves = moves + jnp.where(time > last, 1, 0)
+        takes = takes + jnp.where(late | (sensor < 0), 0, 1)
+        predict_key, update_key = event_keys(key, moves, takes)
+        belief, history = predict(standing.belief, control, time - last, predict_key)
+        standing, outcome = condition(
+            filter,
+            rig.sensors,
+            standing._replace(belief=belief),
+            log.readings,
+            jnp.where(late, -1, sensor),
+            row,
+            time,
+            update_key,
+        )
+        verdict = jnp.where(late & (sensor >= 0), Verdict.LATE, outcome.verdict)
+        outcome = outcome._replace(verdict=verdict)
+        carry = standing, jnp.maximum(time, last), moves, takes
+        return carry, (standing.belief.moments(), outcome, history)
+
+    filter = filter.aboard(rig.names)
+    none = jnp.zeros((), int)
+    start = begin(filter, rig, key), jnp.zeros(()), none, none
+    events = log.schedule, log.controls
+    _, (moments, outcome, history) = lax.scan(body, start, events)
+    return Estimates(log.schedule.time, moments, outcome), history

@@ -1,0 +1,96 @@
+"""A compiled program and the arrays that it works on."""
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from kedge.numerics.native.algebra import TYPES
+from kedge.numerics.native.emit import HEAD, Writer
+from kedge.numerics.native.machine import compile_text
+from kedge.numerics.native.program import Program
+
+LANES = 8
+"""Runs side by side: two registers of AVX2, or one of AVX-512, which keeps both pipes busy."""
+
+
+class Kernel:
+    """One program as machine code, for one run or for several of one schedule."""
+
+    def __init__(self, program: Program, batched: bool):
+        self.lanes = LANES if batched else 1
+        self.arguments = program.arguments
+        self.outputs = [(o.kind, o.shape) for o in program.outputs]
+        self.passed, self.places = program.passed, program.places
+        self.carried = [node.kind for node in program.carried]
+        self.code = compile_text(Writer(program, self.lanes).write())
+
+    def fresh(self, events: int, runs: int) -> list[np.ndarray]:
+        """Arrays for the results."""
+        groups = -(-runs // self.lanes)
+        return [
+            _aligned((groups, events, *shape, self.lanes), TYPES[kind])
+            for kind, shape in self.outputs
+        ]
+
+    def carry(self, runs: int) -> np.ndarray:
+        """Room for what is carried from event to event, as 64-bit words."""
+        return np.zeros((runs, len(self.carried)), np.int64)
+
+    def block(
+        self,
+        arrays: Sequence[np.ndarray | None],
+        outputs: Sequence[np.ndarray],
+        carry: np.ndarray,
+        events: int,
+        begin: int,
+        end: int,
+        anew: bool = True,
+    ) -> np.ndarray:
+        """The words that the code is called with; the arrays must outlive the call."""
+        words = [events, begin, end, int(anew), carry.ctypes.data]
+        for array, argument in zip(arrays, self.arguments, strict=True):
+            if array is None:
+                words += [0, 0, 0]
+                continue
+            own = self.lanes > 1 and argument.own
+            shape = array.shape[1:] if own else array.shape
+            rows = shape[0] if shape else 1
+            words += [array.ctypes.data, int(np.prod(shape, dtype=int)), rows]
+        words += [array.ctypes.data for array in outputs]
+        if len(words) != HEAD + 3 * len(self.arguments) + len(self.outputs):
+            raise AssertionError("a block of the wrong length")
+        return np.array(words, np.int64)
+
+    def run(
+        self,
+        arrays: Sequence[np.ndarray | None],
+        outputs: Sequence[np.ndarray],
+        events: int,
+        runs: int = 1,
+    ) -> None:
+        """The whole pass over ``events`` of all runs, written into ``outputs``."""
+        block = self.block(arrays, outputs, self.carry(runs), events, 0, runs)
+        self.code.call(block.ctypes.data)
+
+
+def cores() -> int:
+    """How many threads may run at once."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def prepared(array: Any, kind: str) -> np.ndarray:
+    """An array as the code reads it: without a copy where it is that already."""
+    return np.ascontiguousarray(array, TYPES[kind])
+
+
+def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Uninitialised numbers, at a place from which JAX takes them without a copy."""
+    size = int(np.prod(shape, dtype=int)) * np.dtype(dtype).itemsize
+    raw = np.empty(size + 64, np.uint8)
+    begin = -raw.ctypes.data % 64
+    return raw[begin : begin + size].view(dtype).reshape(shape)
