@@ -39,7 +39,7 @@ test: .venv/.dev ## the fast tests: ARGS='tests/filters -k extended'
 .PHONY: slow
 slow: .venv/.dev ## the slow tests, and those on recorded data (KEDGE_DATA)
 	$(PYTEST) -m 'slow and not data and not golden' $(ARGS)
-	XLA_FLAGS= $(PYTEST) -m 'data or golden' $(ARGS)
+	XLA_FLAGS= KEDGE_ENGINE= $(PYTEST) -m 'data or golden' $(ARGS)
 
 .PHONY: lint
 lint: .venv/.dev ## format, lint, types, layers

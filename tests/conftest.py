@@ -23,6 +23,13 @@ if jax.__version_info__ < (0, 11):
         "--xla_llvm_disable_expensive_passes=true",
     )
 
+# Without a word to the contrary tests run by XLA, which is the engine for everything; those of
+# the other one ask for it.
+os.environ.setdefault("KEDGE_ENGINE", "xla")
+os.environ.setdefault(
+    "KEDGE_NATIVE_CACHE", str(Path(__file__).parents[1] / "build" / "native-cache")
+)
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])

@@ -1,7 +1,7 @@
 """The pass over a log as machine code: for which filters, and how it is called.
 
-What is compiled is the program that XLA would compile, :func:`kedge.estimation.traced.pass_over`,
-so a vehicle, sensor or filter needs to know nothing of it.
+What is compiled is the program that XLA would compile,
+:func:`kedge.estimation.traced.pass_over`, so a vehicle, sensor or filter knows nothing of it.
 """
 
 import os
@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
+import numpy as np
 from jax.core import Tracer
 
 from kedge.core.contracts import AbstractFilter
@@ -19,8 +20,8 @@ from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates
 from kedge.filters.cloud import AbstractParticleFilter
 from kedge.filters.ensembles import AbstractEnsembleFilter
-from kedge.numerics.native.machine import is_available
 from kedge.numerics.native.graph import Unsupported
+from kedge.numerics.native.machine import is_available
 
 Engine = Literal["auto", "native", "xla"]
 """Who compiles the pass: LLVM by way of :mod:`kedge.numerics.native`, or XLA.
@@ -49,7 +50,7 @@ def compiled_pass(
     Raises:
         ContractError: ``engine`` is "native" and that is not possible.
     """
-    chosen = os.environ.get("KEDGE_ENGINE", "auto") if engine == "auto" else engine
+    chosen = (os.environ.get("KEDGE_ENGINE") or "auto") if engine == "auto" else engine
     if chosen not in ("auto", "native", "xla"):
         raise ContractError(f"engine is {chosen!r}; expected 'auto', 'native' or 'xla'")
     if chosen == "xla":
@@ -73,12 +74,10 @@ def _obstacle(filter: AbstractFilter, tree: Any) -> str | None:
         return "llvmlite is not installed (the extra 'native')"
     if isinstance(innermost(filter), AbstractEnsembleFilter | AbstractParticleFilter):
         return "it draws random numbers"
-    if jax.default_backend() != "cpu" or not jax.config.jax_enable_x64:
+    if jax.default_backend() != "cpu" or jax.dtypes.canonicalize_dtype(float) != np.float64:
         return "it is for 64-bit floats on a CPU"
-    if jax.config.jax_disable_jit or jax.config.jax_debug_nans:
+    if any(getattr(jax.config, flag) for flag in ("jax_disable_jit", "jax_debug_nans")):
         return "JAX is being debugged"
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree)):
         return "it stands within a traced program"
     return None
-
-

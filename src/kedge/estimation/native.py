@@ -1,6 +1,7 @@
 """Traces the pass once for logs of any length, compiles it, and runs it over arrays."""
 
 import functools as ft
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,7 +26,9 @@ ROWS = 2
 
 
 Keep = Callable[[Estimates], Any] | None
-Shapes = tuple[tuple[tuple[int, ...], str], ...]
+Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], int, bool]
+"""What a program hangs on: the structure of its arguments, their shapes and types, how many of
+them are the log's, and whether the history is kept."""
 
 
 class Traced(NamedTuple):
@@ -40,7 +43,9 @@ class Traced(NamedTuple):
 class NativePass:
     """A compiled pass: of one run, or of runs side by side that share a schedule."""
 
-    def __init__(self, traced: Traced, own: Sequence[bool] | None, wanted: frozenset[int] | None):
+    def __init__(
+        self, traced: Traced, own: Sequence[bool] | None, wanted: frozenset[int] | None
+    ):
         batched = own is not None
         flags = own or [False] * len(traced.arguments)
         arguments = [a._replace(own=o) for a, o in zip(traced.arguments, flags, strict=True)]
@@ -53,6 +58,7 @@ class NativePass:
             )
         self.kernel = Kernel(program, batched)
         self.arguments, self.own = arguments, flags
+        self.memory = threading.local()
         self.results = jax.tree.structure(traced.results)
 
     def arrays(self, leaves: Sequence[Any]) -> list[np.ndarray | None]:
@@ -61,10 +67,17 @@ class NativePass:
         return [*(prepared(leaf, argument.kind) for leaf, argument in pairs), None]
 
     def raw(self, leaves: Sequence[Any], events: int, runs: int) -> list[np.ndarray]:
-        """The results as the machine code leaves them: by group of runs, event, place, run."""
-        outputs = self.kernel.fresh(events, runs)
-        self.kernel.run(self.arrays(leaves), outputs, events, runs)
-        return outputs
+        """The results as the machine code leaves them: by group of runs, event, place, run.
+
+        Their memory is the thread's, and used again by its next call: new memory costs as much
+        as computing what is put there.
+        """
+        kept = getattr(self.memory, "kept", None)
+        if kept is None or kept[0] != (events, runs):
+            kept = (events, runs), self.kernel.fresh(events, runs)
+            self.memory.kept = kept
+        self.kernel.run(self.arrays(leaves), kept[1], events, runs)
+        return kept[1]
 
     def tree(self, leaves: Sequence[Any], found: Sequence[Any]) -> Any:
         """Results in the form that the traced program has; None where they are not wanted."""
@@ -116,7 +129,8 @@ class Many:
         events = log.schedule.time.shape[0]
         raw = self.compiled.raw(leaves, events, runs)
         passed = [leaves[number] for number in self.compiled.kernel.passed.values()]
-        return _unpacked(self.compiled, self.keep, runs, raw, passed)
+        # Waited for, since the memory is used again.
+        return jax.block_until_ready(_unpacked(self.compiled, self.keep, runs, raw, passed))
 
 
 @eqx.filter_jit
@@ -166,20 +180,23 @@ def native_pass(
         if number >= len(leaves) - of_log:
             shape = (min(shape[0], ROWS), *shape[1:])
         shapes.append((shape, str(leaf.dtype)))
-    traced = _traced(structure, tuple(shapes), of_log, history)
-    wanted = None if keep is None else _wanted(traced, keep)
-    compiled = _compiled(structure, tuple(shapes), of_log, history, flags, wanted)
+    form = structure, tuple(shapes), of_log, history
+    wanted = None if keep is None else _wanted(_traced(form), keep)
+    compiled = _compiled(form, flags, wanted)
     return One(compiled, keep, history) if flags is None else Many(compiled, keep)
 
 
 @ft.lru_cache(maxsize=64)
-def _traced(structure: Any, shapes: Shapes, of_log: int, history: bool) -> Traced:
+def _traced(form: Form) -> Traced:
+    structure, shapes, of_log, history = form
     arrays = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes]
 
     def program(leaves: list[Any], key: Any) -> Any:
-        return pass_over(*jax.tree.unflatten(structure, leaves), key, history)
+        filter, rig, log = jax.tree.unflatten(structure, leaves)
+        return pass_over(filter, rig, log, key, history)
 
-    jaxpr, results = jax.make_jaxpr(program, return_shape=True)(arrays, jr.key(0))
+    make: Any = jax.make_jaxpr(program, return_shape=True)
+    jaxpr, results = make(arrays, jr.key(0))
     first = len(shapes) - of_log
     arguments = [
         Argument(kind_of(dtype), shape, False, number >= first and shape[0] > 0)
@@ -190,14 +207,9 @@ def _traced(structure: Any, shapes: Shapes, of_log: int, history: bool) -> Trace
 
 @ft.lru_cache(maxsize=64)
 def _compiled(
-    structure: Any,
-    shapes: Shapes,
-    of_log: int,
-    history: bool,
-    flags: tuple[bool, ...] | None,
-    wanted: frozenset[int] | None,
+    form: Form, flags: tuple[bool, ...] | None, wanted: frozenset[int] | None
 ) -> NativePass:
-    return NativePass(_traced(structure, shapes, of_log, history), flags, wanted)
+    return NativePass(_traced(form), flags, wanted)
 
 
 def _wanted(traced: Traced, keep: Callable[[Estimates], Any]) -> frozenset[int]:

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 from jaxtyping import Array, Int, PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
@@ -49,21 +50,28 @@ def estimate_runs(
     filter, rig, log = as_arrays((filter, rig, log))
     key = jr.key(0) if key is None else key
     begins = range(0, count, chunk)
-    shared, own = ft.partial(jax.tree.map, lambda _: False), ft.partial(jax.tree.map, lambda _: True)
-    flags = shared((filter, rig)), Log(shared(log.schedule), own(log.controls), own(log.readings))
+    shared, own = (
+        ft.partial(jax.tree.map, lambda _: False),
+        ft.partial(jax.tree.map, lambda _: True),
+    )
+    flags = (
+        shared((filter, rig)),
+        Log(shared(log.schedule), own(log.controls), own(log.readings)),
+    )
     native = compiled_pass(filter, rig, log, False, engine, keep, flags)
+
+    if native is not None:  # which reads plain memory: parts of it need no copy
+        log = jax.tree.map(np.asarray, log)
 
     def part(begin: int) -> Any:
         index = jnp.arange(begin, min(begin + chunk, count))
         own = jax.tree.map(
             lambda leaf: leaf[begin : begin + chunk], (log.controls, log.readings)
         )
+        some = Log(log.schedule, *own)
         if native is not None:
-            some = Log(log.schedule, *own)
             return jax.block_until_ready(native.over(filter, rig, some, len(index)))
-        return jax.block_until_ready(
-            _some(filter, rig, Log(log.schedule, *own), index, key, keep)
-        )
+        return jax.block_until_ready(_some(filter, rig, some, index, key, keep))
 
     # The first call compiles; then the compiled program runs outside Python's lock.
     parts = [part(0)]

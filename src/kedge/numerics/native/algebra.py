@@ -44,7 +44,7 @@ def value_of(node: Node) -> Any:
     return node.param[1]
 
 
-def is_number(node: Node, number: float) -> bool:
+def is_number(node: Node, number: int) -> bool:
     """Whether a node is that constant."""
     return node.is_const and bool(node.param[1] == number)
 
@@ -148,12 +148,16 @@ class Algebra:
         if flag.op == "not":
             return self.select(flag.args[0], no, yes)
         if yes.kind == "b1" and yes.is_const:
-            return self.both("or", flag, no) if value_of(yes) else self.both(
-                "and", self.invert(flag), no
+            return (
+                self.both("or", flag, no)
+                if value_of(yes)
+                else self.both("and", self.invert(flag), no)
             )
         if no.kind == "b1" and no.is_const:
-            return self.both("or", self.invert(flag), yes) if value_of(no) else self.both(
-                "and", flag, yes
+            return (
+                self.both("or", self.invert(flag), yes)
+                if value_of(no)
+                else self.both("and", flag, yes)
             )
         return self.graph.make("select", yes.kind, (flag, yes, no))
 
@@ -183,7 +187,9 @@ class Algebra:
         """The same number as another kind of number."""
         if a.kind == kind:
             return a
-        if a.is_const and not (isinstance(value_of(a), float) and not math.isfinite(value_of(a))):
+        if a.is_const and not (
+            isinstance(value_of(a), float) and not math.isfinite(value_of(a))
+        ):
             with np.errstate(all="ignore"):
                 return self.const(np.asarray(value_of(a)).astype(TYPES[kind]), kind)
         if kind == "b1":

@@ -1,5 +1,6 @@
 """Rules of programs within programs: calls, branches, and loops short enough to be unrolled."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from jax.extend.core import ClosedJaxpr
 from kedge.numerics.native.elementwise import each
 from kedge.numerics.native.graph import Node, Unsupported
 from kedge.numerics.native.interpret import Interpreter, rule, takes_any
-from kedge.numerics.native.values import Opaque, Stored, Value, filled
+from kedge.numerics.native.values import Opaque, Value, filled
 
 MOST_ROUNDS = 64
 """Of a loop that is unrolled."""
@@ -21,7 +22,7 @@ MOST_ROUNDS = 64
 def _call(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value]:
     for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
         inside = equation.params.get(name)
-        if inside is not None and hasattr(inside, "eqns") or hasattr(inside, "jaxpr"):
+        if hasattr(inside, "eqns") or hasattr(inside, "jaxpr"):
             return _run(interpreter, inside, values)
     return [Opaque(f"operation {equation.primitive.name!r}")] * len(equation.outvars)
 
@@ -52,52 +53,31 @@ def _cond(interpreter: Interpreter, equation: Any, which: Value, *values: Value)
         return _run(interpreter, branches[index.param[1]], values)
     if index.varying:
         return _every(interpreter, index, [_run(interpreter, b, values) for b in branches])
-    known: list[list[Value]] = []
 
-    def case(branch: Any) -> list[Node]:
-        found = _run(interpreter, branch, values)
-        found = [v.nodes(f) if isinstance(v, Stored) else v for v in found]
-        known.append(found)
-        return [node for v in found if not isinstance(v, Opaque) for node in v.flat]
+    unknown: list[Opaque] = []
 
-    # What one case does not know is not known; so the cases are computed before they merge.
-    opaque = _opaque(interpreter, branches, values)
-    if any(opaque):
-        outputs = [place for place, there in enumerate(opaque) if not there]
-        cases = [lambda b=b: [n for p in outputs for n in _nodes(interpreter, b, values)[p].flat]
-                 for b in branches]  # fmt: skip
-        merged = f.graph.branch(index, cases)
-    else:
-        outputs = list(range(len(opaque)))
-        merged = f.graph.branch(index, [lambda b=b: case(b) for b in branches])
-    out: list[Value] = [Opaque("a branch that is not known")] * len(opaque)
+    def case(branch: Any) -> list[Node | None]:
+        nodes: list[Node | None] = []
+        for value, atom in zip(
+            _run(interpreter, branch, values), equation.outvars, strict=True
+        ):
+            if isinstance(value, Opaque):
+                unknown.append(value)
+                nodes += [None] * math.prod(atom.aval.shape)
+            else:
+                nodes += list(interpreter.nodes(value).flat)
+        return nodes
+
+    merged = f.graph.branch(index, [lambda b=b: case(b) for b in branches])
+    out: list[Value] = []
     begin = 0
-    for place in outputs:
-        shape = equation.outvars[place].aval.shape
-        size = int(np.prod(shape, dtype=int))
-        out[place] = filled(merged[begin : begin + size], shape)
+    for atom in equation.outvars:
+        size = math.prod(atom.aval.shape)
+        known = [node for node in merged[begin : begin + size] if node is not None]
         begin += size
+        whole = len(known) == size
+        out.append(filled(known, atom.aval.shape) if whole else unknown[0])
     return out
-
-
-def _nodes(interpreter: Interpreter, branch: Any, values: Any) -> list[Value]:
-    found = _run(interpreter, branch, values)
-    return [v.nodes(interpreter.functions) if isinstance(v, Stored) else v for v in found]
-
-
-def _opaque(interpreter: Interpreter, branches: Any, values: Any) -> list[bool]:
-    """Which results some branch cannot tell, found without computing where none is."""
-    if not any(isinstance(v, Opaque) for v in values):
-        return [False] * len(branches[0].jaxpr.outvars)
-    graph = interpreter.functions.graph
-    here = graph.here
-    opaque = [False] * len(branches[0].jaxpr.outvars)
-    for branch in branches:
-        graph.here = type(here)(here)
-        found = _run(interpreter, branch, values)
-        opaque = [o or isinstance(v, Opaque) for o, v in zip(opaque, found, strict=True)]
-    graph.here = here
-    return opaque
 
 
 def _every(interpreter: Interpreter, index: Node, cases: list[list[Value]]) -> list[Value]:
@@ -136,7 +116,9 @@ def _scan(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value
     outputs: list[list[Value]] = []
     order = reversed(range(rounds)) if params["reverse"] else range(rounds)
     for i in order:
-        found = _run(interpreter, inside, [*consts, *carry, *(row[i] for row in map(_rows, rows))])
+        found = _run(
+            interpreter, inside, [*consts, *carry, *(row[i] for row in map(_rows, rows))]
+        )
         carry = found[:carried]
         outputs.append(found[carried:])
     if params["reverse"]:

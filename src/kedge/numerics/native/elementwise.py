@@ -1,11 +1,12 @@
 """Rules of operations element by element."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from kedge.numerics.native.algebra import COMPARISONS
+from kedge.numerics.native.algebra import COMPARISONS, value_of
 from kedge.numerics.native.functions import Functions
 from kedge.numerics.native.graph import FLOATS, Node, Unsupported
 from kedge.numerics.native.interpret import Interpreter, rule
@@ -64,9 +65,21 @@ def _same(a: Node) -> Node:
 
 @rule("div")
 def _div(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    if kind_of(equation.outvars[0].aval.dtype) not in FLOATS:
-        raise Unsupported("division of integers")
-    return each(interpreter.functions.div, a, b)
+    f = interpreter.functions
+    if kind_of(equation.outvars[0].aval.dtype) in FLOATS:
+        return each(f.div, a, b)
+    return each(lambda x, y: _whole(f, "quotient", x, y), a, b)
+
+
+def _whole(f: Functions, op: str, a: Node, b: Node) -> Node:
+    """Quotient or rest of integers, towards zero; by zero it would end the process."""
+    if not b.is_const or value_of(b) in (0, -1):
+        raise Unsupported("division of integers by what is not known")
+    if a.is_const:
+        quotient = math.trunc(value_of(a) / value_of(b))
+        rest = value_of(a) - quotient * value_of(b)
+        return f.const(quotient if op == "quotient" else rest, a.kind)
+    return f.graph.make(op, a.kind, (a, b))
 
 
 @rule("pow")
@@ -97,7 +110,7 @@ def _integer_pow(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.n
 def _rem(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     f = interpreter.functions
     if a.size and a.flat[0].kind not in FLOATS:
-        raise Unsupported("remainder of integers")
+        return each(lambda x, y: _whole(f, "rest", x, y), a, b)
     return each(lambda x, y: f.call("fmod", x, y), a, b)
 
 
@@ -124,9 +137,7 @@ def _sign(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarray:
 @rule("is_finite")
 def _is_finite(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarray:
     f = interpreter.functions
-    return each(
-        lambda x: f.compare("lt", f.absolute(x), f.const(float("inf"), x.kind)), a
-    )
+    return each(lambda x: f.compare("lt", f.absolute(x), f.const(float("inf"), x.kind)), a)
 
 
 @rule("select_n")
@@ -164,5 +175,3 @@ def _shift(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray
 def _bitcast(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarray:
     kind = kind_of(equation.params["new_dtype"])
     return each(lambda x: interpreter.functions.graph.make("bitcast", kind, (x,)), a)
-
-

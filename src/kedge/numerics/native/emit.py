@@ -1,10 +1,10 @@
 """Writes a program down in LLVM's assembly language: one function, events innermost.
 
-Its one argument is a block of 64-bit words: how many events, first run, end of the runs, whether
-to start afresh, where the carried numbers are; then for each array that is read its address, the
-distance between runs and the number of rows; then the addresses of those that are written. These
-have the axes group of runs, event, component, run within the group: what a register holds lies
-side by side.
+Its one argument is a block of 64-bit words: how many events, first run, end of the runs,
+whether to start afresh, where the carried numbers are; then for each array that is read its
+address, the distance between runs and the number of rows; then the addresses of those that are
+written. These have the axes group of runs, event, component, run within the group: what a
+register holds lies side by side.
 """
 
 from kedge.numerics.native.graph import Branches, Node, Region, Unsupported
@@ -15,6 +15,8 @@ from kedge.numerics.native.text import LLVM_TYPES, constant, simple, suffix, typ
 NAME = "kedge_pass"
 HEAD = 5
 """Words before the arrays."""
+MOST_LINES = 15_000
+"""Of a program: LLVM's time grows faster than its length, and from here on XLA is quicker."""
 
 
 class Writer:
@@ -43,8 +45,11 @@ class Writer:
         left = [self._as(n, c.varying) for n, c in self._carry(self.program.left)]
         self.splats.pop()
         self._close_loop(left)
+        if len(self.lines) > MOST_LINES:
+            raise Unsupported(f"{len(self.lines)} instructions, more than {MOST_LINES}")
         body = "\n".join(self.lines)
-        return f"{chr(10).join(sorted(self.declared))}\ndefine void @{NAME}(ptr %block) {{\n{body}\n}}\n"
+        head = "\n".join(sorted(self.declared))
+        return f"{head}\ndefine void @{NAME}(ptr %block) {{\n{body}\n}}\n"
 
     def _say(self, line: str) -> None:
         self.lines.append(f"  {line}")
@@ -75,11 +80,16 @@ class Writer:
         self.carry = self._word(4, "ptr")
         arguments = self.program.arguments
         words = {
-            number: [self._word(HEAD + 3 * number + i, "ptr" if i == 0 else "i64") for i in range(3)]
+            number: [
+                self._word(HEAD + 3 * number + i, "ptr" if i == 0 else "i64") for i in range(3)
+            ]
             for number in sorted(self._read())
         }
         self.rows = {number: word[2] for number, word in words.items()}
-        out = [self._word(HEAD + 3 * len(arguments) + k, "ptr") for k in range(len(self.program.outputs))]
+        out = [
+            self._word(HEAD + 3 * len(arguments) + k, "ptr")
+            for k in range(len(self.program.outputs))
+        ]
         last = self._new(f"sub i64 {self.end}, 1")
         self._say("br label %groups")
         self._mark("groups")
@@ -140,7 +150,9 @@ class Writer:
     def _start(self) -> list[str]:
         """Names of what is carried into the first event: computed, or as it was left."""
         fresh = self._new(f"icmp ne i64 {self.is_fresh}, 0")
-        anew = [self._as(node, symbol.varying) for node, symbol in self._carry(self.program.start)]
+        anew = [
+            self._as(node, symbol.varying) for node, symbol in self._carry(self.program.start)
+        ]
         begun = self.label
         self.origins = begun, "resume"
         self._say(f"br i1 {fresh}, label %events, label %resume")
@@ -177,7 +189,8 @@ class Writer:
             kind = type_of(symbol.kind, self._lanes(symbol))
             lines.append(f"  %c{symbol.param} = phi {kind} {entering}, [ {after}, %{latch} ]")
         lines.append(
-            "  %event = phi i64 " + ", ".join(f"[ 0, %{o} ]" for o in self.origins)
+            "  %event = phi i64 "
+            + ", ".join(f"[ 0, %{o} ]" for o in self.origins)
             + f", [ %next_event, %{latch} ]"
         )
         self.lines[self.phi : self.phi] = lines
@@ -229,7 +242,11 @@ class Writer:
             self._mark(label)
             self.splats.append({})
             self._region(region)
-            given = [self._as(values[node.param[1]], node.varying) for node in results]
+            wanted = [values[node.param[1]] or node for node in results]
+            given = [
+                self._as(value, node.varying)
+                for value, node in zip(wanted, results, strict=True)
+            ]
             self.splats.pop()
             self._say(f"br label %{merge}")
             arriving.append((self.label, given))
@@ -337,7 +354,11 @@ class Writer:
     def _load(self, kind: str, at: str, wide: bool = False) -> str:
         if wide and kind[0] != "f":
             value = self._new(f"load i64, ptr {at}")
-            return value if kind[1] == "8" else self._new(f"trunc i64 {value} to {LLVM_TYPES[kind]}")
+            return (
+                value
+                if kind[1] == "8"
+                else self._new(f"trunc i64 {value} to {LLVM_TYPES[kind]}")
+            )
         note = "" if wide else ", !invariant.load !0"
         value = self._new(f"load {_memory(kind)}, ptr {at}{note}")
         return self._new(f"icmp ne i8 {value}, 0") if kind == "b1" else value

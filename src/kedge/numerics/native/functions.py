@@ -63,7 +63,9 @@ class Functions(Algebra):
         name = "cos" if quarter else "sin"
         if a.is_const:
             known = value_of(a)
-            return self.const(getattr(math, name)(known) if math.isfinite(known) else math.nan, a.kind)
+            return self.const(
+                getattr(math, name)(known) if math.isfinite(known) else math.nan, a.kind
+            )
         x = self.convert(a, "f8")
 
         def number(value: float) -> Node:
@@ -82,16 +84,16 @@ class Functions(Algebra):
         tail = self.fma(self.mul(square, square), self.polynomial(COSINE, square), lost)
         cosine = self.add(high, tail)
         # Quadrants by floats: integers would have to be converted lane by lane.
-        turns = self.add(turns, number(quarter)) if quarter else turns
+        turns = self.add(turns, number(float(quarter))) if quarter else turns
         fourth = self.mul(turns, number(0.25))
-        quadrant = self.mul(number(4), self.sub(fourth, self.unary("floor", fourth)))
+        quadrant = self.mul(number(4.0), self.sub(fourth, self.unary("floor", fourth)))
         odd = self.both(
             "or",
-            self.compare("eq", quadrant, number(1)),
-            self.compare("eq", quadrant, number(3)),
+            self.compare("eq", quadrant, number(1.0)),
+            self.compare("eq", quadrant, number(3.0)),
         )
         value = self.select(odd, cosine, sine)
-        value = self.select(self.compare("ge", quadrant, number(2)), self.neg(value), value)
+        value = self.select(self.compare("ge", quadrant, number(2.0)), self.neg(value), value)
         near = self.compare("lt", self.absolute(x), number(FAR))
         return self.convert(self._rarely(near, value, name, x), a.kind)
 
@@ -127,9 +129,7 @@ class Functions(Algebra):
         series = self.mul(z, self.polynomial(LOGARITHM, z))
         half = self.mul(self.mul(number(0.5), f), f)
         inner = self.fma(s, self.add(half, series), self.mul(k, number(LOG2_PARTS[1])))
-        value = self.sub(
-            self.mul(k, number(LOG2_PARTS[0])), self.sub(self.sub(half, inner), f)
-        )
+        value = self.sub(self.mul(k, number(LOG2_PARTS[0])), self.sub(self.sub(half, inner), f))
         normal = self.both(
             "and",
             self.compare("ge", x, number(2.2250738585072014e-308)),
@@ -186,7 +186,8 @@ class Functions(Algebra):
         index = self.graph.make("all", "i8", (usual,), None)
         index.varying = False
 
-        def ask() -> list[Node]:
+        def ask() -> list[Node | None]:
             return [self.select(usual, value, self.graph.make("call", "f8", args, name))]
 
-        return self.graph.branch(index, [ask, lambda: [value]])[0]
+        (found,) = self.graph.branch(index, [ask, lambda: [value]])
+        return value if found is None else found

@@ -41,7 +41,7 @@ class Branches:
 
     def __init__(self, index: Node):
         self.index = index
-        self.cases: list[tuple[Region, list[Node]]] = []
+        self.cases: list[tuple[Region, list[Node | None]]] = []
         self.results: list[Node] = []
 
 
@@ -72,18 +72,24 @@ class Graph:
         return self._node("const", kind, (), (repr(value), value), False)
 
     def make(
-        self, op: str, kind: str, args: Sequence[Node] = (), param: Any = None, own: bool = False
+        self,
+        op: str,
+        kind: str,
+        args: Sequence[Node] = (),
+        param: Any = None,
+        own: bool = False,
     ) -> Node:
         """A node that varies with the run if ``own`` or if one of its arguments does."""
         varying = own or any(arg.varying for arg in args)
         return self._node(op, kind, tuple(args), param, varying)
 
     def branch(
-        self, index: Node, cases: Sequence[Callable[[], Sequence[Node]]]
-    ) -> list[Node]:
+        self, index: Node, cases: Sequence[Callable[[], Sequence[Node | None]]]
+    ) -> list[Node | None]:
         """Results of the case that ``index`` says; the others are not computed.
 
-        The index must be the same for all runs and within the number of cases.
+        The index must be the same for all runs and within the number of cases. What one case
+        cannot tell (None) is not known of the whole.
         """
         found = Branches(index)
         outer = self.here
@@ -92,18 +98,23 @@ class Graph:
             found.cases.append((self.here, list(case())))
         self.here = outer
         outer.items.append(found)
-        merged = []
-        for place, values in enumerate(zip(*(values for _, values in found.cases), strict=True)):
-            if all(value is values[0] for value in values):
-                merged.append(values[0])
-                continue
-            varying = any(value.varying for value in values)
-            kind = values[0].kind
-            node = Node("result", kind, (), (found, place), varying, outer.depth)
-            self._count(node)
-            found.results.append(node)
-            merged.append(node)
-        return merged
+        columns = zip(*(values for _, values in found.cases), strict=True)
+        return [self._merged(found, place, values) for place, values in enumerate(columns)]
+
+    def _merged(
+        self, branches: Branches, place: int, values: tuple[Node | None, ...]
+    ) -> Node | None:
+        known = [value for value in values if value is not None]
+        if len(known) < len(values):
+            return None
+        if all(value is known[0] for value in known):
+            return known[0]
+        varying = any(value.varying for value in known)
+        depth = self.here.depth
+        node = Node("result", known[0].kind, (), (branches, place), varying, depth)
+        self._count(node)
+        branches.results.append(node)
+        return node
 
     def loop(self) -> Region:
         """Enter the region of the events."""

@@ -29,9 +29,7 @@ def dynamic_slice(
         f.clamp(f.const(0, "i8"), s, f.sub(limit, f.const(size, "i8")))
         for s, limit, size in zip(first, limits, sizes, strict=True)
     ]
-    picked = [
-        at(f, source, begin, index) for index in np.ndindex(*sizes)
-    ]
+    picked = [at(f, source, begin, index) for index in np.ndindex(*sizes)]
     return filled(picked, tuple(sizes))
 
 
@@ -147,7 +145,7 @@ def _scatter(
         target = tuple(index)
         if not all(0 <= i < n for i, n in zip(target, source.shape, strict=True)):
             continue
-        new = updates[place]
+        new: Any = updates[place]
         if "add" in name:
             new = f.add(out[target], new)
         elif "mul" in name:

@@ -71,7 +71,8 @@ class Kernel:
         runs: int = 1,
     ) -> None:
         """The whole pass over ``events`` of all runs, written into ``outputs``."""
-        block = self.block(arrays, outputs, self.carry(runs), events, 0, runs)
+        carry = self.carry(runs)  # named, so that it outlives the call
+        block = self.block(arrays, outputs, carry, events, 0, runs)
         self.code.call(block.ctypes.data)
 
 

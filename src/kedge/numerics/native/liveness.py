@@ -18,7 +18,8 @@ def needed(program: Program) -> set[int]:
         if node.op == "result":
             branches, place = node.param
             waiting.append(branches.index)
-            waiting.extend(values[place] for _, values in branches.cases)
+            cases = (values[place] for _, values in branches.cases)
+            waiting.extend(value for value in cases if value is not None)
     return found
 
 

@@ -64,8 +64,12 @@ def key_of(text: str) -> str:
     import llvmlite
 
     llvm = _target()
-    parts = text, llvmlite.__version__, str(llvm.llvm_version_info), llvm.get_host_cpu_name(), str(
-        llvm.get_host_cpu_features().flatten()
+    parts = (
+        text,
+        llvmlite.__version__,
+        str(llvm.llvm_version_info),
+        llvm.get_host_cpu_name(),
+        str(llvm.get_host_cpu_features().flatten()),
     )
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

@@ -10,9 +10,10 @@ from kedge.numerics.native import calling, elementwise, indexing, reducing, shap
 from kedge.numerics.native.functions import Functions
 from kedge.numerics.native.graph import Graph, Node, Region, Unsupported
 from kedge.numerics.native.interpret import Interpreter
-from kedge.numerics.native.values import Opaque, Stored, Value, filled, kind_of
+from kedge.numerics.native.values import Opaque, Stored, Value, filled, kind_of, literal
 
 MOST_SCALARS = 60_000
+"""Of a program while it is taken apart."""
 RULES_OF = calling, elementwise, indexing, reducing, shaping
 """The modules whose import registers the rules."""
 
@@ -56,9 +57,7 @@ class Program(NamedTuple):
     """Numbers of the other results, in the order of ``outputs``."""
 
 
-def build(
-    traced: ClosedJaxpr, arguments: Sequence[Argument | None], batched: bool
-) -> Program:
+def build(traced: ClosedJaxpr, arguments: Sequence[Argument | None], batched: bool) -> Program:
     """Take a program apart that ends in one loop over events.
 
     An argument that is None must not be needed: a random key. ``batched`` programs are for
@@ -88,8 +87,6 @@ def build(
         raise Unsupported("a program that does not end in its loop")
 
     def read(atom: Any) -> Value:
-        from kedge.numerics.native.values import literal
-
         return literal(functions, atom) if isinstance(atom, Literal) else known[atom]
 
     for equation in jaxpr.eqns[:-1]:
@@ -169,7 +166,9 @@ def _varying(
     while True:
         flags = dict(zip(jaxpr.invars, [*fixed, *carry, *rows], strict=True))
         for equation in jaxpr.eqns:
-            reached = any(flags.get(a, False) for a in equation.invars if not isinstance(a, Literal))
+            reached = any(
+                flags.get(a, False) for a in equation.invars if not isinstance(a, Literal)
+            )
             flags.update(dict.fromkeys(equation.outvars, reached))
         after = [
             before or (not isinstance(atom, Literal) and flags.get(atom, False))

@@ -1,5 +1,6 @@
 """Rules of sums, products of matrices, and factorisations: unrolled to their scalars."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ from kedge.numerics.native.algebra import Algebra
 from kedge.numerics.native.functions import Functions
 from kedge.numerics.native.graph import Node, Unsupported
 from kedge.numerics.native.interpret import Interpreter, rule
-from kedge.numerics.native.values import filled
+from kedge.numerics.native.values import filled, kind_of
 
 Fold = Callable[[Functions], Callable[[Node, Node], Node]]
 FOLDS: dict[str, Fold] = {
@@ -34,8 +35,6 @@ def _reduce(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarra
     combine, found = FOLDS[name](f), []
     for row in rows:
         if len(row) == 0:
-            from kedge.numerics.native.values import kind_of
-
             if name not in EMPTY:
                 raise Unsupported("the extreme of nothing")
             found.append(f.const(EMPTY[name], kind_of(equation.outvars[0].aval.dtype)))
@@ -53,7 +52,7 @@ def _cumulate(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndar
     axis, reverse = equation.params["axis"], equation.params["reverse"]
     out = np.moveaxis(a.copy(), axis, 0)
     places = range(len(out))
-    for last, place in zip(places, places[1:], strict=False):
+    for last, place in itertools.pairwise(places):
         i, j = (len(out) - 1 - last, len(out) - 1 - place) if reverse else (last, place)
         for rest in np.ndindex(out.shape[1:]):
             out[(j, *rest)] = combine(out[(i, *rest)], out[(j, *rest)])
@@ -90,7 +89,10 @@ def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
 
     def arranged(x: np.ndarray, batch: Any, summed: Any) -> np.ndarray:
         free = [axis for axis in range(x.ndim) if axis not in (*batch, *summed)]
-        size = [int(np.prod([x.shape[i] for i in part], dtype=int)) for part in (batch, free, summed)]
+        size = [
+            int(np.prod([x.shape[i] for i in part], dtype=int))
+            for part in (batch, free, summed)
+        ]
         return np.transpose(x, [*batch, *free, *summed]).reshape(size)
 
     first, second = arranged(a, left_batch, left), arranged(b, right_batch, right)

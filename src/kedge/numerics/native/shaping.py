@@ -102,7 +102,6 @@ def _update(
             continue
         for index in np.ndindex(new.shape):
             place = tuple(b + i for b, i in zip(base, index, strict=True))
-            out[place] = f.select(here, new[index], out[place])
+            chosen: list[Any] = [new[index], out[place]]
+            out[place] = f.select(here, *chosen)
     return out
-
-

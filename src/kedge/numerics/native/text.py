@@ -69,6 +69,9 @@ def simple(node: Node, args: list[str], lanes: int) -> tuple[str, str | None]:
         return f"call {own} {name}({shown})", f"declare {own} {name}({types})"
     if op in INTEGER_OPS:
         return f"{INTEGER_OPS[op]} {own} {args[0]}, {args[1]}", None
+    if op in ("quotient", "rest"):
+        sign, word = "s" if kind[0] == "i" else "u", "div" if op == "quotient" else "rem"
+        return f"{sign}{word} {own} {args[0]}, {args[1]}", None
     if op == "neg":
         return f"sub {own} {constant(0, kind, lanes)}, {args[0]}", None
     if op == "not":

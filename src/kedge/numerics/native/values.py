@@ -107,4 +107,5 @@ def constants(functions: Functions, value: Any) -> np.ndarray:
 
 def literal(functions: Functions, atom: Literal) -> np.ndarray:
     """A constant in the program's text."""
-    return constants(functions, np.asarray(atom.val, atom.aval.dtype))
+    kind: Any = atom.aval
+    return constants(functions, np.asarray(atom.val, kind.dtype))

@@ -1,0 +1,202 @@
+"""Passes as machine code beside the same passes by XLA: the same but for rounding."""
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+import kedge
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import space
+from kedge.core.registry import filters, sensors, vehicles
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import estimate_with_history
+from kedge.estimation.log import REPEATED
+from kedge.estimation.rig import check_reads
+from kedge.numerics.losses import Loss
+from kedge.simulation.simulate import schedule, simulate, with_readings
+
+pytest.importorskip("llvmlite")
+RANDOM = {
+    "auxiliary", "denkf", "enkf-n", "ensemble", "etkf", "guided", "particle", "serial-enkf",
+}  # fmt: skip
+LOOPS = {"fuzzy-noise": "scan", "gauss-hermite": "instructions"}
+FAST = {"extended"}
+STRAIGHT = [
+    pytest.param(name, marks=() if name in FAST else pytest.mark.slow)
+    for name in filters.names()
+    if name not in RANDOM | {"kalman"} and name not in LOOPS
+]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A rig with a map, a gate and a robust sensor, and a log with all that can be wrong."""
+    vehicle = kedge.make_vehicle("unicycle")
+    rig = kedge.Rig(
+        vehicle,
+        (
+            kedge.Installation(
+                "camera", kedge.make_sensor("landmarks"), robust=Loss("student")
+            ),
+            kedge.Installation("gnss", kedge.make_sensor("gnss"), gate=0.05, recovery=0.5),
+        ),
+        kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(3)),
+    )
+    scenario = kedge.Scenario(rig, 8.0)
+    plan = schedule(scenario, output_rate=1.0)
+    log = with_readings(plan.log, scenario, simulate(scenario, jr.key(0)))
+    camera, gnss = log.readings
+    seen = camera.measurement
+    seen = seen._replace(range=seen.range.at[3].set(jnp.nan).at[9].set(jnp.inf))
+    target = camera.target.at[5].set(-1).at[6].set(REPEATED)
+    fix = gnss.measurement.position.at[2].set(jnp.nan).at[4].add(30.0).at[5, 1].set(jnp.nan)
+    cov = jnp.tile(jnp.eye(2), (len(gnss.target), 1, 1)).at[6].multiply(-1.0)
+    readings = (
+        camera._replace(measurement=seen, target=target),
+        gnss._replace(measurement=gnss.measurement._replace(position=fix), cov=cov),
+    )
+    return scenario, log._replace(readings=readings)
+
+
+def assert_same(found, expected, rtol=1e-11):
+    found, expected = jax.tree.leaves(found), jax.tree.leaves(expected)
+    for mine, theirs in zip(found, expected, strict=True):
+        mine, theirs = np.asarray(mine), np.asarray(theirs)
+        assert mine.dtype == theirs.dtype
+        assert mine.shape == theirs.shape
+        if mine.dtype.kind != "f":
+            np.testing.assert_array_equal(mine, theirs)
+        else:
+            np.testing.assert_allclose(mine, theirs, rtol=rtol, atol=rtol)
+
+
+@pytest.mark.parametrize("name", STRAIGHT)
+def test_same_as_xla(name, problem):
+    scenario, log = problem
+    filter = kedge.make_filter(name)
+    found = kedge.estimate(filter, scenario.rig, log, engine="native")
+    assert_same(found, kedge.estimate(filter, scenario.rig, log, engine="xla"))
+    verdicts = set(np.asarray(found.outcome.verdict).tolist())
+    wanted = {Verdict.FUSED, Verdict.NOT_FINITE, Verdict.UNKNOWN_TARGET, Verdict.DUPLICATE}
+    if name != "dead-reckoning":
+        wanted |= {Verdict.BAD_COVARIANCE}
+        assert wanted <= verdicts
+
+
+@pytest.mark.slow
+def test_same_history_and_smoother(problem):
+    scenario, log = problem
+    filter = kedge.make_filter("extended")
+    found = estimate_with_history(filter, scenario.rig, log, engine="native")
+    assert_same(found, estimate_with_history(filter, scenario.rig, log, engine="xla"))
+
+
+def test_runs_are_those_of_one_log_each(problem):
+    """11 runs: a whole register of them, and one that is only partly used."""
+    scenario, log = problem
+    filter, keys = kedge.make_filter("extended"), jr.split(jr.key(1), 11)
+    logs = jax.vmap(
+        lambda key: with_readings(log, scenario, simulate(scenario, key))._replace(
+            schedule=None
+        )
+    )(keys)._replace(schedule=log.schedule)
+    whole = kedge.estimate_runs(filter, scenario.rig, logs, engine="native")
+    parts = kedge.estimate_runs(
+        filter, scenario.rig, logs, engine="native", chunk=8, keep=lambda e: e.moments
+    )
+    for mine, theirs in zip(
+        jax.tree.leaves(parts), jax.tree.leaves(whole.moments), strict=True
+    ):
+        np.testing.assert_array_equal(mine, theirs)
+    for run in (0, 10):
+        own = jax.tree.map(lambda leaf, run=run: leaf[run], logs._replace(schedule=None))
+        one = kedge.estimate(
+            filter, scenario.rig, own._replace(schedule=log.schedule), engine="native"
+        )
+        assert_same(jax.tree.map(lambda leaf, run=run: leaf[run], whole), one)
+
+
+def test_same_bytes_again_and_for_a_part_of_the_log(problem):
+    """One program serves logs of any length."""
+    scenario, log = problem
+    filter = kedge.make_filter("extended")
+    whole = kedge.estimate(filter, scenario.rig, log, engine="native")
+    again = kedge.estimate(filter, scenario.rig, log, engine="native")
+    half = len(log.schedule.time) // 2
+    schedule, controls = jax.tree.map(lambda leaf: leaf[:half], (log.schedule, log.controls))
+    part = log._replace(schedule=schedule, controls=controls)
+    beginning = kedge.estimate(filter, scenario.rig, part, engine="native")
+    for a, b, c in zip(*map(jax.tree.leaves, (whole, again, beginning)), strict=True):
+        np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(np.asarray(a)[:half], c)
+
+
+def test_keep_sees_what_it_asks_for(problem):
+    scenario, log = problem
+    filter = kedge.make_filter("extended")
+    whole = kedge.estimate(filter, scenario.rig, log, engine="native")
+    found = kedge.estimate(
+        filter, scenario.rig, log, engine="native",
+        keep=lambda e: (e.time[-1], e.moments.mean.heading, e.outcome.verdict),
+    )  # fmt: skip
+    assert found[0] == log.schedule.time[-1]
+    np.testing.assert_array_equal(found[1], whole.moments.mean.heading)
+    np.testing.assert_array_equal(found[2], whole.outcome.verdict)
+
+
+@pytest.mark.parametrize("name", ["ensemble", "particle"])
+def test_what_draws_is_for_xla(name, problem):
+    scenario, log = problem
+    with pytest.raises(ContractError, match="random"):
+        kedge.estimate(kedge.make_filter(name), scenario.rig, log, engine="native")
+
+
+def test_within_a_traced_program_xla_has_it(problem):
+    scenario, log = problem
+    filter = kedge.make_filter("extended")
+
+    def end(shift):
+        prior = scenario.rig.prior
+        moved = prior.mean._replace(position=prior.mean.position + shift)
+        rig = kedge.Rig(scenario.rig.vehicle, scenario.rig.sensors, prior._replace(mean=moved))
+        return kedge.estimate(filter, rig, log).moments.mean.position[-1]
+
+    assert np.isfinite(jax.jit(end)(jnp.zeros(2))).all()
+
+
+def test_unknown_engine_is_refused(problem, monkeypatch):
+    scenario, log = problem
+    monkeypatch.setenv("KEDGE_ENGINE", "gpu")
+    with pytest.raises(ContractError, match="'gpu'"):
+        kedge.estimate(kedge.make_filter("extended"), scenario.rig, log)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", vehicles.names())
+def test_same_for_every_vehicle(name):
+    """With every sensor that fits it."""
+    vehicle = kedge.make_vehicle(name)
+    state = type(vehicle.start())
+    size = space(vehicle.start()).size
+    fitting = []
+    for one in sensors.names():
+        try:
+            installation = kedge.Installation(one, kedge.make_sensor(one))
+            check_reads(installation, state, name)
+        except (ContractError, TypeError):
+            continue
+        fitting.append(installation)
+    rig = kedge.Rig(
+        vehicle, tuple(fitting), kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(size))
+    )
+    scenario = kedge.Scenario(rig, 3.0)
+    plan = schedule(scenario, output_rate=1.0)
+    log = with_readings(plan.log, scenario, simulate(scenario, jr.key(0)))
+    filter = kedge.make_filter("extended")
+    try:
+        found = kedge.estimate(filter, rig, log, engine="native")
+    except ContractError as error:
+        pytest.skip(str(error))
+    assert_same(found, kedge.estimate(filter, rig, log, engine="xla"), rtol=1e-9)
