@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from kedge import __version__
+from kedge.estimation.compiled import compiler
 from kedge.evaluation.study import Study, plan_of
 from kedge.evaluation.study_claims import (
     FALSE,
@@ -84,7 +85,7 @@ def summary_of(
         "command": "study",
         "arguments": sys.argv[1:],
         "version": __version__,
-        "versions": {name: version(name) for name in ("jax", "equinox", "numpy")},
+        "versions": {n: version(n) for n in ("jax", "equinox", "numpy")} | compiler(),
         "platform": f"Python {platform.python_version()}, {platform.machine()}",
         "title": about.title,
         "source": about.source,

@@ -19,6 +19,7 @@ from kedge.apps.console import progress
 from kedge.apps.output import write_results
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
+from kedge.estimation.compiled import compiler
 from kedge.estimation.smoother import compile_smoother
 from kedge.evaluation.findings import principal
 from kedge.evaluation.health import concerns
@@ -71,7 +72,7 @@ def execute(
             "arguments": sys.argv[1:],
             "version": __version__,
             "seed": seed,
-            "versions": {name: version(name) for name in ("jax", "equinox", "numpy")},
+            "versions": {n: version(n) for n in ("jax", "equinox", "numpy")} | compiler(),
             "platform": f"Python {platform.python_version()}, {platform.machine()}",
         }
         summary = summarise(problem, runs, facts)

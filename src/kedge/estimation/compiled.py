@@ -6,6 +6,7 @@ What is compiled is the program that XLA would compile,
 
 import os
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any, Literal
 
 import jax
@@ -81,3 +82,11 @@ def _obstacle(filter: AbstractFilter, tree: Any) -> str | None:
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree)):
         return "it stands within a traced program"
     return None
+
+
+def compiler() -> dict[str, str]:
+    """What results hang on beside the versions of JAX: who compiles the passes, if not XLA."""
+    chosen = os.environ.get("KEDGE_ENGINE") or "auto"
+    if chosen == "xla" or not is_available():
+        return {}
+    return {"llvmlite": version("llvmlite")}
