@@ -39,9 +39,9 @@ def test_ranges_and_truth_at_local_time(folder):
 
 
 def test_a_case_has_to_be_named_and_truth_may_be_missing(folder):
-    with pytest.raises(DataError, match="expected a case after the path; there are .*#4vba0"):
+    with pytest.raises(DataError, match=r"expected a case after the path; there are .*#4vba0"):
         read_trek1000(folder)
-    with pytest.raises(UnknownName, match="no case called '4vbaO'.*did you mean '4vba0'"):
+    with pytest.raises(UnknownName, match=r"no case called '4vbaO'.*did you mean '4vba0'"):
         read_trek1000(folder, "4vbaO")
     assert read_trek1000(folder / "output_range_uwb_4vba0.txt").truth is None
     with pytest.raises(DataError, match="expected files output_range_uwb_CASE"):

@@ -1,4 +1,4 @@
-"""Paper D's static experiment, simulated and recorded, within the bands of the specification."""
+"""Paper D's static experiment, simulated and recorded, within the specification's bands."""
 
 import importlib.util
 from pathlib import Path
@@ -35,10 +35,10 @@ def test_the_room_with_two_blocked_anchors():
 
 
 def test_obstacles_that_nobody_labels():
-    filters = [f"fix:solver={solver}" for solver in ("ls", "ml,loss=huber", "ml,loss=tukey")]
+    filters = [f"fix:solver={solver}" for solver in ("ls", "ml,loss=huber")]
     found = study("uwb-blocked", filters, 3000)["expected"]
     judged = [band for band in found if "not among" not in band["figures"]]
-    assert [band["verdict"] for band in judged] == [TRUE] * 3
+    assert [band["verdict"] for band in judged] == [TRUE] * 2
 
 
 def test_a_person_in_a_real_room(data, capsys):

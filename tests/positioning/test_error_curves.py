@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import scipy.optimize
+from scipy.optimize import curve_fit
 
 from kedge.core.errors import DataError
 from kedge.positioning.error_curves import FAMILIES, choose_curve, fit_curve
@@ -65,7 +65,7 @@ def test_the_histogram_fit_is_that_of_scipy_and_its_amplitude_samples_times_widt
         return amplitude * scipy.stats.norm.pdf(a, mean, std)
 
     begin = (500 * fit.width, errors.mean(), errors.std())
-    found, cov = scipy.optimize.curve_fit(curve, fit.centres, fit.counts, begin, xtol=1e-14)
+    found, cov = curve_fit(curve, fit.centres, fit.counts, begin, xtol=1e-14)
     np.testing.assert_allclose([fit.amplitude, fit.mean, fit.std], found, rtol=1e-6)
     np.testing.assert_allclose(fit.std_errors, np.sqrt(np.diag(cov)), rtol=1e-4)
     assert fit.amplitude == pytest.approx(500 * fit.width, rel=0.1)
@@ -90,13 +90,13 @@ def test_moments_scatter_less_than_the_histogram_fit():
 
 
 def test_bad_errors_are_refused():
-    with pytest.raises(DataError, match="found 3 errors, expected 8 or more"):
+    with pytest.raises(DataError, match=r"found 3 errors, expected 8 or more"):
         fit_curve([0.1, 0.2, 0.3])
-    with pytest.raises(DataError, match="error 4 is nan"):
+    with pytest.raises(DataError, match=r"error 4 is nan"):
         fit_curve([0.1, 0.2, 0.3, 0.1, np.nan, 0.2, 0.3, 0.4])
-    with pytest.raises(DataError, match="all errors are 0.1 m"):
+    with pytest.raises(DataError, match=r"all errors are 0\.1 m"):
         fit_curve([0.1] * 9)
-    with pytest.raises(DataError, match="'gamma': the least error is -0.1 m"):
+    with pytest.raises(DataError, match=r"'gamma': the least error is -0\.1 m"):
         fit_curve([-0.1, 0.2, 0.3, 0.1, 0.2, 0.2, 0.3, 0.4], "gamma")
     with pytest.raises(DataError, match="no family of error curves called 'gama'"):
         fit_curve([0.1, 0.2, 0.3, 0.1, 0.2, 0.2, 0.3, 0.4], "gama")

@@ -24,7 +24,7 @@ def far(place):
 
 
 def test_the_filter_finds_what_the_snapshot_finds():
-    """Pairs whose errors are independent: against least squares by hand, from the same prior."""
+    """Pairs whose errors are independent: against least squares by hand."""
     differences = far(PLACE)[1:] - far(PLACE)[0] + np.array([0.05, -0.1, 0.02])
     target = Anchor(HALL[1:], np.tile(HALL[:1], (3, 1)), np.zeros(3))
     sensor = Installation("uwb", RangeDifferences(target=target, std=0.1))

@@ -135,6 +135,42 @@ def compare(
 
 
 @app.command()
+def locate(
+    rig: Rig,
+    log: Source,
+    out: Out,
+    solvers: Annotated[
+        str, typer.Option(help="Names with commas between: ls, wls, gls, ml, nls, em, tdoa.")
+    ] = "ls,gls,ml,ml:loss=huber",
+    sensor: Annotated[
+        str | None, typer.Option(help="Whose ranges, if several have some.")
+    ] = None,
+    window: Annotated[float, typer.Option(help="Seconds that an epoch of ranges lasts.")] = 0.1,
+    truth: Truth = "auto",
+    until: Until = None,
+    set_: Set = None,
+    require_: Require = None,
+    report: Report = True,
+    as_json: Json = False,
+) -> None:
+    """A fix for every epoch of ranges in a log, each by itself."""
+    from kedge.apps.locate import Options, execute, print_fixes
+    from kedge.files.filters import split_names
+
+    conditions, names = parse_requirements(require_ or []), split_names(solvers)
+    check_requirements(conditions, names)
+    options = Options(names, sensor, window, truth, until, set_, report)
+    summary = execute(rig, log, out, options)
+    if as_json:
+        print_json(summary)
+    else:
+        print_fixes(summary)
+        shown = "report.html" if (out / "report.html").exists() else "summary.json"
+        print(f"\nresults: {out / shown}")
+    require(summary["filters"], conditions)
+
+
+@app.command()
 def study(
     scenario: Annotated[str, typer.Argument(help="A shipped scenario's name or a TOML file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results.")] = None,

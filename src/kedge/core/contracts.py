@@ -83,11 +83,14 @@ class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
 
 
 class Ranging(NamedTuple):
-    r"""Ranges: $z_i = s_i \sqrt{\lVert p - a_i \rVert^2 + h_i^2} + b_i$ of a position p."""
+    r"""Ranges from p: $z_i = s_i \sqrt{\lVert p - a_i \rVert^2 + h_i^2} + b_i + \mu_i$."""
 
     anchors: Float[Array, "m d"]
     scale: Float[Array, " m"]
     bias: Float[Array, " m"]
+    """Known of the instruments."""
+    excess: Float[Array, " m"]
+    """Expected of obstacles, on top."""
     rise: Float[Array, " m"]
     """Height of the tag over each anchor, where p is in the plane."""
     present: Bool[Array, " m"]

@@ -31,7 +31,7 @@ class Links(NamedTuple):
     """NaN where an anchor was not heard, m."""
     std: Float[Array, " m"]
     bias: Float[Array, " m"]
-    r"""What is known of the mean error $\mu_i$: antenna delay, non-line-of-sight excess, m."""
+    r"""What is expected of the mean error $\mu_i$: the excess behind an obstacle, m."""
     rise: Float[Array, " m"]
     """Height of the tag over each anchor where it is known and x is horizontal, m."""
 

@@ -164,14 +164,14 @@ class Snapshot(AbstractFilter[Held]):
 def _epoch(
     model: AbstractMeasurementModel, mean: Any, told: Ranging, measurement: Any
 ) -> Links:
-    """The ranges without their scales; NaN where they are missing."""
+    """The ranges without scales and biases of instruments; NaN where they are missing."""
     ranges = space(measurement).flatten(measurement)
     std = jnp.sqrt(jnp.diag(model.noise_cov(mean)))
     return Links(
         told.anchors,
-        jnp.where(told.present, ranges, jnp.nan) / told.scale,
+        jnp.where(told.present, ranges - told.bias, jnp.nan) / told.scale,
         std / told.scale,
-        told.bias / told.scale,
+        told.excess / told.scale,
         told.rise,
     )
 

@@ -57,7 +57,7 @@ class Solver(eqx.Module):
 
     name: str = eqx.field(static=True, default="ml")
     debias: bool = eqx.field(static=True, default=True)
-    """Take the mean error that is known of a link from its range."""
+    """Take the mean excess that is expected of a link from its range."""
     reference: int = eqx.field(static=True, default=1)
     """Of "ls" and "wls": the anchor that is taken from the others, counted from 1."""
     printed: bool = eqx.field(static=True, default=False)
@@ -82,9 +82,9 @@ class Solver(eqx.Module):
 
 
 @eqx.filter_jit
-def solve_all(solver: Solver, epochs: Links) -> Fix:
+def solve_all(solver: Solver, epochs: Links, near: Near = None) -> Fix:
     """Every epoch by itself, all at once; the leaves of ``epochs`` have a leading axis."""
-    return jax.vmap(solver.solve)(epochs)
+    return jax.vmap(lambda own: solver.solve(own, near))(epochs)
 
 
 def _undebiased(links: Links) -> Links:

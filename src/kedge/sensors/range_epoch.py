@@ -37,10 +37,12 @@ class _Layout:
 class RangeEpoch(AbstractSensor[Any]):
     r"""Ranges to every anchor in one reading, for a vehicle in the plane.
 
-    $z_i = \sqrt{\lVert p - a_i \rVert^2 + (h - h_i)^2} + b_i + v_i$, $v_i \sim N(0, \sigma_i)$.
+    $z_i = \sqrt{\lVert p - a_i \rVert^2 + (h - h_i)^2} + \mu_i + v_i$ with
+    $v_i \sim N(0, \sigma_i)$.
 
     Anchors are given by x and y, or by x, y and their height; an anchor that was not heard is
-    NaN. ``biases`` and ``stds`` are by anchor, and 0 and ``std`` where they are not given.
+    NaN. ``excess`` (what obstacles add in the mean) and ``stds`` are by anchor, and 0 and
+    ``std`` where they are not given.
 
     Source: J. Qiu, Y. Zhang, M. Tang, P. Ma, J. Ran, "Research on AGV positioning method
     combined with IMU and UWB", Archives of Transport 64(4), 2022, section 2.1.
@@ -52,7 +54,7 @@ class RangeEpoch(AbstractSensor[Any]):
     anchors: tuple[tuple[float, ...], ...] = CORNERS
     std: Metres = 0.05
     stds: tuple[float, ...] = ()
-    biases: tuple[float, ...] = ()
+    excess: tuple[float, ...] = ()
     tag_height: Metres = 0.0
 
     def __check_init__(self):
@@ -62,7 +64,7 @@ class RangeEpoch(AbstractSensor[Any]):
                 f"range-epoch: anchors have {sorted(sizes)} coordinates, expected all of them "
                 "to have 2, or 3 with the height"
             )
-        for name in ("stds", "biases"):
+        for name in ("stds", "excess"):
             found = len(getattr(self, name))
             if found not in (0, len(self.anchors)):
                 raise ContractError(
@@ -74,7 +76,7 @@ class RangeEpoch(AbstractSensor[Any]):
         told = self.ranging(state)
         away = state.position[None] - told.anchors
         distance = jnp.sqrt(jnp.sum(away**2, axis=1) + told.rise**2 + 1e-18)
-        return self.measures(distance + told.bias)
+        return self.measures(distance + told.excess)
 
     def noise_std(self, state: Reads) -> Any:
         if self.stds:
@@ -84,11 +86,12 @@ class RangeEpoch(AbstractSensor[Any]):
     def ranging(self, state: Reads) -> Ranging:
         places = jnp.stack([jnp.stack([jnp.asarray(x) for x in a]) for a in self.anchors])
         count = places.shape[0]
-        bias = jnp.zeros(count)
-        if self.biases:
-            bias = jnp.stack([jnp.asarray(b) for b in self.biases])
-        rise = jnp.zeros(count)
+        none = jnp.zeros(count)
+        excess = none
+        if self.excess:
+            excess = jnp.stack([jnp.asarray(mean) for mean in self.excess])
+        rise = none
         if places.shape[1] == 3:
             rise = self.tag_height - places[:, 2]
-        every = jnp.ones(count)
-        return Ranging(places[:, :2], every, bias, rise, jnp.asarray(np.ones(count, bool)))
+        present = jnp.asarray(np.ones(count, bool))
+        return Ranging(places[:, :2], jnp.ones(count), none, excess, rise, present)

@@ -116,7 +116,8 @@ def _told(sensor: Any, state: Any, rise: Float[Array, ""]) -> Ranging:
     scale = jnp.asarray(anchor.scale * state.range_scale)
     bias = jnp.asarray(anchor.offset + state.range_bias + own)
     place = jnp.asarray(anchor.position)
-    return Ranging(place[None], scale[None], bias[None], rise[None], jnp.ones(1, bool))
+    none = jnp.zeros(1)
+    return Ranging(place[None], scale[None], bias[None], none, rise[None], jnp.ones(1, bool))
 
 
 def _std(sensor: Any, distance: Float[Array, ""]) -> Measurement:

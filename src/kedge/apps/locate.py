@@ -1,0 +1,260 @@
+"""The work behind ``kedge locate``: a fix for every epoch of ranges in a log."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from kedge import __version__
+from kedge.apps.console import progress
+from kedge.apps.workflow import load, use_compilation_cache
+from kedge.core.errors import ConfigError, DataError
+from kedge.core.manifolds import charts_of
+from kedge.core.registry import unknown
+from kedge.estimation.log import SECOND
+from kedge.evaluation.fixes import plot_fixes, plot_residuals, residual_rows, score_fixes
+from kedge.evaluation.page import Front, Plate, write_page
+from kedge.evaluation.score import truth_at
+from kedge.files.atomic import fresh_folder
+from kedge.files.filters import build_filter
+from kedge.files.problem import Problem
+from kedge.files.results import as_toml, digest, plain, write_csv, write_summary, write_table
+from kedge.positioning.epochs import Epochs, epochs_of
+from kedge.positioning.fix import Fix, Status
+from kedge.positioning.links import Links
+from kedge.positioning.solver import solve_all
+
+
+class Options(NamedTuple):
+    """What was asked for."""
+
+    solvers: Sequence[str] = ("ls", "gls", "ml", "ml:loss=huber")
+    sensor: str | None = None
+    window: float = 0.1
+    truth: str = "auto"
+    until: float | None = None
+    changes: Sequence[str] | None = None
+    report: bool = True
+
+
+class Heard(NamedTuple):
+    """The epochs of one sensor."""
+
+    time: Float[np.ndarray, " n"]
+    links: Links
+    anchors: Float[np.ndarray, "m d"]
+    names: tuple[str, ...]
+
+
+def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
+    """Solve, score, write the folder; return the summary.
+
+    Raises:
+        KedgeError: the rig, the log or an option cannot be used; nothing is left.
+    """
+    solvers = {name: _solver(name) for name in options.solvers}
+    use_compilation_cache()
+    problem = load(rig, log, options.truth, options.until, options.changes)
+    heard = epochs_in(problem, options.sensor, options.window)
+    position = problem.rig.prior.mean.position
+    with fresh_folder(out, "summary.json") as folder, progress() as say:
+        fixes, scores = {}, {}
+        truth = known = None
+        if problem.truth is not None and "position" in problem.truth.fields:
+            charts = charts_of(type(problem.rig.prior.mean))
+            found, known = truth_at(problem.truth, heard.time, {"position": charts["position"]})
+            truth = found["position"]
+        for name, solver in solvers.items():
+            say(f"{name}: {len(heard.time)} epochs")
+            fixes[name] = jax.tree.map(np.asarray, solve_all(solver, heard.links, position))
+            scores[name] = score_fixes(fixes[name], truth, known)
+            stem = f"fixes_{''.join(c if c.isalnum() or c in '-=' else '_' for c in name)}.csv"
+            write_csv(folder / stem, columns_of(problem, heard, fixes[name]))
+        summary = {
+            "command": "locate",
+            "arguments": sys.argv[1:],
+            "version": __version__,
+            "title": problem.title,
+            "runs": 1,
+            "anchors": list(heard.names),
+            "epochs": len(heard.time),
+            "window": options.window,
+            "filters": scores,
+            "notes": list(problem.notes),
+            "configuration": problem.config,
+            "digest": {
+                "inputs": problem.inputs_digest,
+                "result": digest(*(np.asarray(leaf) for leaf in jax.tree.leaves(fixes))),
+            },
+        }
+        write_summary(folder / "summary.json", summary)
+        write_table(folder / "table.csv", scores)
+        if options.report:
+            say("drawing the report")
+            shown = None if truth is None or known is None else truth[known]
+            _report(folder, problem, heard, fixes, scores, shown)
+    return plain(summary)
+
+
+def epochs_in(problem: Problem, sensor: str | None, window: float) -> Heard:
+    """The ranges of a log's sensor, by epoch.
+
+    Raises:
+        DataError: no sensor measures ranges, or none was heard.
+        ConfigError: several do and none is chosen, or the one that is does not.
+    """
+    mean = problem.rig.prior.mean
+    able = {
+        own.name: (index, own)
+        for index, own in enumerate(problem.rig.sensors)
+        if hasattr(mean, "position") and own.ranging(mean, jnp.asarray(0)) is not None
+    }
+    if not able:
+        raise DataError("locate: no sensor of the rig measures ranges to anchors")
+    if sensor is None and len(able) > 1:
+        raise ConfigError(f"locate: --sensor: expected one of {list(able)}")
+    if sensor is not None and sensor not in able:
+        raise ConfigError(f"locate: {unknown('sensor of ranges', sensor, list(able))}")
+    index, own = able[sensor or next(iter(able))]
+    schedule = problem.recording.log.schedule
+    fired = np.flatnonzero(np.asarray(schedule.sensor) == index)
+    time, row = np.asarray(schedule.time)[fired], np.asarray(schedule.row)[fired]
+    readings = problem.recording.log.readings[index]
+    values = np.concatenate(
+        [np.asarray(z).reshape(len(z), -1) for z in jax.tree.leaves(readings.measurement)], 1
+    )[row]
+    if len(values) == 0:
+        raise DataError(f"locate: sensor {own.name!r} has no readings")
+    every = jnp.arange(own.targets or 1)
+    told: Any = jax.vmap(lambda target: own.ranging(mean, target))(every)
+    noise = jax.vmap(lambda target: jnp.diag(own.noise_cov(mean, target)))(every)
+    told = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:]), told)
+    std = np.sqrt(np.asarray(noise).ravel())
+    count = len(told.scale)
+    names = problem.target_names.get(own.name, tuple(str(i + 1) for i in range(count)))
+    if own.targets is None:
+        found = Epochs(time, values, np.tile(row[:, None], (1, count)))
+    else:
+        target = np.asarray(readings.target)[row]
+        found = epochs_of(time, target, values[:, 0], count, window)
+    lifted = (std / told.scale, told.excess / told.scale, told.rise)
+    each = [jnp.broadcast_to(jnp.asarray(leaf), found.ranges.shape) for leaf in lifted]
+    shape = (len(found.time), *told.anchors.shape)
+    links = Links(
+        jnp.broadcast_to(jnp.asarray(told.anchors), shape),
+        jnp.asarray((found.ranges - told.bias[None]) / told.scale[None]),
+        *each,
+    )
+    return Heard(found.time, links, told.anchors, names)
+
+
+def columns_of(problem: Problem, heard: Heard, fix: Any) -> dict[str, np.ndarray]:
+    """One row an epoch, for a table."""
+    size = heard.anchors.shape[1]
+    stamps: Int[np.ndarray, " n"] = problem.recording.start + np.round(
+        heard.time * SECOND
+    ).astype(np.int64)
+    spread = np.sqrt(np.diagonal(fix.cov, axis1=1, axis2=2))
+    found: dict[str, np.ndarray] = {"stamp_ns": stamps}
+    for group, values in (("position", fix.position), ("std", spread), ("mirror", fix.mirror)):
+        found |= {f"{group}_{axis}": values[:, i] for i, axis in enumerate("xyz"[:size])}
+    found["covariance_xy"] = fix.cov[:, 0, 1]
+    for name in ("crlb", "pdop", "hdop", "vdop", "redundancy"):
+        found[name] = getattr(fix, name)
+    found["status"] = np.array([Status(int(s)).name for s in fix.status])
+    for number, name in enumerate(heard.names):
+        found[f"residual_{name}"] = fix.residual[:, number]
+    return found
+
+
+def _solver(spec: str) -> Any:
+    name, _, rest = spec.partition(":")
+    filter: Any = build_filter(f"fix:solver={name}" + (f",{rest}" if rest else ""))
+    return filter.solving()
+
+
+def _report(
+    folder: Path,
+    problem: Problem,
+    heard: Heard,
+    fixes: dict[str, Fix],
+    scores: dict[str, Any],
+    truth: np.ndarray | None,
+) -> None:
+    judged = {name: row["rmse"]["position"] for name, row in scores.items() if "rmse" in row}
+    best = min(judged, key=lambda name: judged[name]) if judged else list(scores)[-1]
+    headline = f"{len(heard.time)} epochs of up to {len(heard.names)} ranges."
+    if judged:
+        headline += f" Best: {best}, {judged[best]:.3f} m RMSE."
+    plates = [
+        Plate(
+            "fixes",
+            "fixes",
+            "Every fix, in plan. Each is by itself: nothing is smoothed.",
+            plot_fixes(fixes, heard.anchors, heard.names, truth),
+        ),
+        Plate(
+            "residuals",
+            "residuals",
+            f"Measured range less the distance to the fix of {best}, by anchor.",
+            plot_residuals(heard.time, fixes[best], heard.names),
+        ),
+    ]
+    front = Front("kedge · locate", problem.title, headline, [], [])
+    write_page(
+        folder, "locate.html.j2", front, plates,
+        solvers=solver_table(scores), residuals=residual_rows(fixes[best], heard.names),
+        principal=best, notes=list(problem.notes), configuration=as_toml(problem.config),
+        facts={"command": "kedge " + " ".join(sys.argv[1:]), "kedge": __version__},
+    )  # fmt: skip
+
+
+COLUMNS = {
+    "RMSE, m": ("rmse", "position"),
+    "median, m": ("median",),
+    "95 %, m": ("p95",),
+    "NEES": ("nees",),
+    "fixes": ("fixes",),
+    "ambiguous": ("ambiguous",),
+    "too few": ("too_few",),
+    "redundancy": ("redundancy",),
+    "DOP": ("pdop",),
+    "bound, m": ("crlb",),
+}
+
+
+def solver_table(scores: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The scores by solver, as text; columns that nobody has are left out."""
+
+    def cell(row: Any, path: tuple[str, ...]) -> str:
+        for key in path:
+            row = row.get(key, {}) if isinstance(row, dict) else {}
+        if isinstance(row, int):
+            return f"{row}"
+        return f"{row:.3g}" if isinstance(row, float) and np.isfinite(row) else "-"
+
+    rows = {
+        name: [cell(row, path) for path in COLUMNS.values()] for name, row in scores.items()
+    }
+    kept = [i for i in range(len(COLUMNS)) if any(row[i] != "-" for row in rows.values())]
+    head = ["solver", *(list(COLUMNS)[i] for i in kept)]
+    return head, [[name, *(row[i] for i in kept)] for name, row in rows.items()]
+
+
+def print_fixes(summary: dict[str, Any]) -> None:
+    """The table of solvers."""
+    from rich.console import Console
+    from rich.table import Table
+
+    head, rows = solver_table(summary["filters"])
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for place, title in enumerate(head):
+        table.add_column(title, justify="right" if place else "left")
+    for row in rows:
+        table.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
