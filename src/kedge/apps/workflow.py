@@ -123,7 +123,14 @@ def run_filters(
             moments, more = _timed(compile_smoother(estimates.moments, history))
             estimates, seconds = estimates._replace(moments=moments), seconds + more
         say(f"{name}: scores")
-        run = score(name, estimates, problem.recording, problem.rig, problem.truth)
+        run = score(
+            name,
+            estimates,
+            problem.recording,
+            problem.rig,
+            problem.truth,
+            problem.target_names,
+        )
         events = len(problem.recording.stamps)
         run.scores.update(seconds=seconds, microseconds_per_event=seconds / events * 1e6)
         runs.append(run)

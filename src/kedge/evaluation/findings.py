@@ -9,6 +9,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
 from kedge.evaluation import style
+from kedge.evaluation.by_target import targets_off
 from kedge.evaluation.drawing import without_fused
 from kedge.evaluation.figures import main_field, rivals
 from kedge.evaluation.health import concerns
@@ -16,6 +17,7 @@ from kedge.evaluation.score import Run
 
 # Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
 HONEST, CAUTIOUS = 0.85, 0.99
+NAMED = 5  # targets that are off; more are in the table
 
 
 def principal(runs: Sequence[Run]) -> Run:
@@ -94,6 +96,13 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
         verdicts = np.asarray(run.estimates.outcome.verdict)
         found += concerns(run.name, run.scores["health"], verdicts)
     run = principal(runs)
+    for off in targets_off(run.scores, units_of(rig))[:NAMED]:
+        factor, symbol = style.shown(off.unit)
+        found.append(
+            f"{off.sensor}: {off.target} is off by {style.number(factor * off.median, 2)} "
+            f"{symbol} in {style.words(off.component)} (median of its residuals, "
+            f"{style.number(off.standardised, 2)} of what it may scatter by)."
+        )
     for installation in rig.sensors:
         entry = run.scores["sensors"].get(installation.name, {})
         counts, judged = entry.get("verdicts", {}), entry.get("readings", 0)
@@ -109,6 +118,16 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
                     f"{installation.name}: {style.count(number)} of {style.count(judged)} "
                     f"readings were not used ({style.words(verdict.name.lower())})."
                 )
+    return found
+
+
+def units_of(rig: Rig) -> dict[str, dict[str, str]]:
+    """By sensor over a map, the unit of each component of its measurement."""
+    found = {}
+    for installation in rig.sensors:
+        if installation.targets is not None:
+            measured = space_of(installation.sensor.measures)
+            found[installation.name] = dict(zip(measured.labels, measured.units, strict=True))
     return found
 
 

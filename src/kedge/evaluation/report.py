@@ -7,6 +7,7 @@ from kedge.core.errors import DataError
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation import diagnostics, figures, findings, spatial, style, tables
+from kedge.evaluation.by_target import target_table
 from kedge.evaluation.drawing import LONG_GAP
 from kedge.evaluation.page import Front, Plate, require_studio, write_page
 from kedge.evaluation.score import Run
@@ -60,6 +61,7 @@ def write_report(folder: Path, content: ReportContent) -> Path:
         filters=tables.filter_table(runs, recording),
         sensors=tables.sensor_table(findings.principal(runs), rig),
         verdicts=tables.verdict_table(runs, rig),
+        targets=target_table(findings.principal(runs).scores, findings.units_of(rig)),
         looks=style.looks([run.name for run in runs]),
         facts=content.facts,
         configuration=content.configuration,

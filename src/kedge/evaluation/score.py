@@ -16,6 +16,7 @@ from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.attitudes import angles_of
+from kedge.evaluation.by_target import target_scores
 from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
 from kedge.evaluation.health import health
 from kedge.evaluation.trajectory import (
@@ -139,12 +140,20 @@ def truth_at(
 
 
 def score(
-    name: str, estimates: Estimates, recording: Recording, rig: Rig, truth: Truth | None = None
+    name: str,
+    estimates: Estimates,
+    recording: Recording,
+    rig: Rig,
+    truth: Truth | None = None,
+    targets: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Run:
-    """Everything about one run that goes into the summary and the report."""
+    """Everything about one run that goes into the summary and the report.
+
+    ``targets`` are the names of the targets by sensor; without them they go by number.
+    """
     track = track_of(estimates, recording)
     scores: dict[str, Any] = {
-        "sensors": _sensor_scores(estimates, recording, rig),
+        "sensors": _sensor_scores(estimates, recording, rig, targets or {}),
         "health": health(estimates),
     }
     errors = None
@@ -277,10 +286,13 @@ def _add_spatial(scores: dict[str, Any], track: Track, truth: Truth, errors: Err
         scores["rmse"][name], scores["rmse_ci"][name] = _root_mean(values)
 
 
-def _sensor_scores(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, Any]:
+def _sensor_scores(
+    estimates: Estimates, recording: Recording, rig: Rig, names: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
     """Per sensor: verdict counts, NIS against its expectation, whiteness of the innovations."""
     outcome = jax.tree.map(np.asarray, estimates.outcome)
     sensor = np.asarray(recording.log.schedule.sensor)
+    row = np.asarray(recording.log.schedule.row)
     found = {}
     for index, installation in enumerate(rig.sensors):
         mine = np.flatnonzero(sensor == index)
@@ -304,5 +316,11 @@ def _sensor_scores(estimates: Estimates, recording: Recording, rig: Rig) -> dict
                     "p_value": test.p_value,
                     "white": bool(test.white),
                 }
+        if installation.targets is not None and len(mine):
+            target = np.asarray(recording.log.readings[index].target)[row[mine]]
+            numbers = tuple(map(str, range(installation.targets)))
+            ids = names.get(installation.name, numbers)
+            labels = space_of(installation.sensor.measures).labels
+            entry["targets"] = target_scores(outcome, mine, target, ids, labels)
         found[installation.name] = entry
     return found

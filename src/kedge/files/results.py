@@ -61,8 +61,14 @@ def write_verdicts(
 
 
 def write_table(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """One row a filter, one column a scalar score; nested scores as ``rmse.position``."""
-    flat = {name: dict(flatten(scores)) for name, scores in rows.items()}
+    """One row a filter, one column a scalar score; nested scores as ``rmse.position``.
+
+    What there is of each target is left out: it stands in the summary.
+    """
+    flat = {
+        name: {key: value for key, value in flatten(scores) if ".targets." not in key}
+        for name, scores in rows.items()
+    }
     header = list(dict.fromkeys(key for row in flat.values() for key in row))
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,0 +1,118 @@
+"""The recorded sets of ranges, each with its shipped rig, on one page of figures.
+
+    python examples/recorded_ranges.py [NAME ...]
+
+Prints, for each set that is below KEDGE_DATA: position RMSE and median error, the share of errors
+inside the 95 % bound, for the rig's filter and, where it can be smoothed, its smoother; for the
+mower ("plaza") also what becomes of outliers with a gate, robust losses and nothing at all.
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from kedge.apps.workflow import run_filters, use_compilation_cache
+from kedge.core.errors import DataError
+from kedge.files.problem import Problem, load_problem
+
+HANYANG = "hanyang_uwb/Dynamic_measurements"
+SETS = {
+    "plaza": ("plaza", "plaza/Plaza1_.mat"),
+    "labyrinth": ("labyrinth", "labyrinth/Indoor_UWB"),
+    "lias_trolley": ("lias_trolley", "lias_trolley"),
+    "hanyang LOS 1": ("hanyang_uwb", f"{HANYANG}#LOS/Trajectory_A/Case_1"),
+    "hanyang LOS 2": ("hanyang_uwb", f"{HANYANG}#LOS/Trajectory_A/Case_2"),
+    "hanyang NLOS 1": ("hanyang_uwb", f"{HANYANG}#NLOS/Trajectory_A/Case_1"),
+    "hanyang NLOS 2": ("hanyang_uwb", f"{HANYANG}#NLOS/Trajectory_A/Case_2"),
+    "isas_walk": ("isas_walk", "isas_walk/walk1.bag"),
+    "starloc": ("starloc", "starloc/loop-2d-fast_s1"),
+}
+LARGE = ("lias_trolley",)  # its smoother would keep gigabytes
+SHARE, LEAST, MEAN = 0.2, 5.0, 20.0  # of the ranges, lengthened by LEAST + Exp(MEAN) m
+
+NO_GATE = {"sensors.radio.gate": "1e-300"}
+ROBUST = {
+    "gate, recovery": {},
+    "student": NO_GATE | {"sensors.radio.robust": '{loss="student"}'},
+    "cauchy": NO_GATE | {"sensors.radio.robust": '{loss="cauchy"}'},
+    "huber": NO_GATE | {"sensors.radio.robust": '{loss="huber"}'},
+    "none": NO_GATE,
+}
+
+
+def quiet(text: str) -> None:
+    """Say nothing."""
+
+
+def figures(problem: Problem, names: Sequence[str]) -> list[tuple[str, Any]]:
+    """By filter: RMSE, median error, share of errors inside the 95 % bound."""
+    rows = []
+    for run in run_filters(problem, names, 0, quiet):
+        if run.errors is None:
+            continue
+        distance = np.linalg.norm(run.errors.error[:, run.errors.fields["position"]], axis=1)
+        scores = run.scores
+        rows.append(
+            (
+                run.name,
+                f"{scores['rmse']['position']:9.3f}{np.nanmedian(distance):9.3f}"
+                f"{scores['coverage_95']['position']:9.2f}",
+            )
+        )
+    return rows
+
+
+def spoilt(problem: Problem) -> Problem:
+    """The same log with a fifth of its ranges much too long."""
+    draws, recording = np.random.default_rng(1), problem.recording
+    (readings,) = recording.log.readings
+    value = np.asarray(readings.measurement.range)
+    longer = LEAST + draws.exponential(MEAN, len(value))
+    value = np.where(draws.random(len(value)) < SHARE, value + longer, value)
+    measurement = type(readings.measurement)(jnp.asarray(value))
+    log = recording.log._replace(readings=(readings._replace(measurement=measurement),))
+    return problem._replace(recording=recording._replace(log=log))
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sets", nargs="*", metavar="NAME", help=", ".join(SETS))
+    chosen = parser.parse_args().sets or list(SETS)
+    use_compilation_cache()
+    root = Path(os.environ.get("KEDGE_DATA", "."))
+    print(f"{'':18s}{'filter':24s}{'RMSE m':>9s}{'median m':>9s}{'in 95 %':>9s}")
+    for name in chosen:
+        rig, log = SETS[name]
+        try:
+            problem = load_problem(rig, str(root / log))
+        except DataError as error:
+            print(f"{name:18s}{error}")
+            continue
+        smoothed = problem.filter == "extended" and name not in LARGE
+        names = [problem.filter, f"{problem.filter}+smoother"][: 1 + smoothed]
+        for filter, text in figures(problem, names):
+            print(f"{name:18s}{filter:24s}{text}")
+    if "plaza" not in chosen or not (root / SETS["plaza"][1]).exists():
+        return
+    print("\nplaza, extended filter:")
+    log = str(root / SETS["plaza"][1])
+    for what, change in (("as recorded", None), ("a fifth much too long", spoilt)):
+        for name, overrides in ROBUST.items():
+            problem = load_problem("plaza", log, overrides=overrides)
+            problem = problem if change is None else change(problem)
+            ((_, text),) = figures(problem, ["extended"])
+            print(f"{what:24s}{name:18s}{text}")
+    alone = "{speed_scale={std=0.05}, yaw_rate_scale={std=0.05}}"
+    problem = load_problem("plaza", log, overrides=NO_GATE | {"vehicle.slow": alone})
+    ((_, text),) = figures(problem, ["extended"])
+    print(f"{'no scale of the ranges':24s}{'none':18s}{text}")
+
+
+if __name__ == "__main__":
+    main()
