@@ -2,9 +2,9 @@
 
     python examples/recorded_ranges.py [NAME ...]
 
-Prints, for each set that is below KEDGE_DATA: position RMSE and median error, the share of errors
-inside the 95 % bound, for the rig's filter and, where it can be smoothed, its smoother; for the
-mower ("plaza") also what becomes of outliers with a gate, robust losses and nothing at all.
+Prints, for each set that is below KEDGE_DATA: position RMSE and median error, the share of
+errors inside the 95 % bound, for the rig's filter and, where it can be smoothed, its smoother;
+for the mower ("plaza") also what becomes of outliers with a gate, robust losses and nothing.
 """
 
 import argparse

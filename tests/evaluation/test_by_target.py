@@ -42,8 +42,8 @@ def test_an_injected_bias_is_named(gate):
     run, recording = scored(rig, recording, 0.5)
     worst = targets_off(run.scores, units_of(rig))[0]
     assert (worst.sensor, worst.target, worst.component) == ("radio", "c", "range")
-    # Of 0.5 m; without a gate the estimate gives way to the bias by more than half of it.
-    assert (0.4 if gate else 0.15) < worst.median < 0.55
+    # Of 0.5 m: the estimate gives way to the bias, without a gate by more than half of it.
+    assert (0.25 if gate else 0.15) < worst.median < 0.55
     said = [line for line in warnings([run], recording, rig) if "radio: c is off" in line]
     assert len(said) == 1
     rows = {row[0]: row for row in target_table(run.scores, units_of(rig))}
