@@ -8,8 +8,12 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from kedge.core.errors import DataError, UnknownName
+from kedge.core.verdicts import Verdict
+from kedge.estimation.batch import estimate
+from kedge.files.problem import load_problem
 from kedge.files.readers import read_log
 from kedge.files.starloc import RIG_FROM_IMU
+from kedge.filters.extended import ExtendedKalman
 
 
 def plaza(heading):
@@ -205,3 +209,41 @@ def test_starloc(tmp_path):
     (other / "uwb.csv").unlink()
     with pytest.raises(DataError, match=r"uwb\.csv: no such file"):
         read_log(str(other), "starloc")
+
+
+RIG = """
+[vehicle]
+model = "wandering"
+[sensors.radio]
+model = "ranges"
+map = "anchors"
+target = "anchor"
+[prior]
+std = { position = 1, velocity = 1 }
+"""
+LOG = """
+[sources.radio]
+target = "anchor"
+columns = { range = "m" }
+[maps.anchors]
+ids = ["a", "b"]
+values = { position_x = [1, 9], position_y = [2, 9] }
+columns = { position_x = "m", position_y = "m" }
+"""
+
+
+def test_a_range_of_nothing_and_an_anchor_off_the_map_get_verdicts(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "log.toml").write_text(LOG)
+    rows = ["time,anchor,range", "1,a,2.5", "2,b,0", "3,b,-1", "4,c,3", "5,a,", "6,b,12"]
+    (tmp_path / "radio.csv").write_text("\n".join(rows))
+    problem = load_problem(str(tmp_path / "rig.toml"), str(tmp_path))
+    assert problem.notes == [
+        "radio: 2 readings of range are not above 0, the first in line 3; they are refused"
+    ]
+    found = estimate(ExtendedKalman(), problem.rig, problem.recording.log)
+    verdicts = np.asarray(found.outcome.verdict)
+    names = [Verdict(int(v)).name for v in verdicts if v != Verdict.NONE]
+    refused = ["NOT_FINITE", "NOT_FINITE", "UNKNOWN_TARGET", "NOT_FINITE"]
+    assert names == ["FUSED", *refused, "FUSED"]
+    assert np.isfinite(found.moments.cov).all()

@@ -156,6 +156,8 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
     """The ``NamedTuple`` that the sensor returns."""
     nominal_rate: ClassVar[float] = 1.0
     """Rate in Hz at which scenarios fire the sensor unless told otherwise."""
+    positive: ClassVar[tuple[str, ...]] = ()
+    """Components that are above 0 by their nature: others in a log are no measurements."""
 
     @abc.abstractmethod
     def observe(self, state: Any) -> Z:

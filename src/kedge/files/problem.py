@@ -105,7 +105,9 @@ def load_problem(
     stamped, sources = {}, {}
     for name, sensor in config.sensors.items():
         table = keep_targets(config, raw, name, notes)
-        stamped[name] = read_readings(config, raw, name, table, type(plain[name]).measures)
+        stamped[name] = read_readings(
+            config, raw, name, table, type(plain[name]).measures, notes
+        )
         column = sensor.target or "target"
         targets = table.texts[column] if sensor.map else None
         sources[name] = Source(table.stamps, targets, table.lines)

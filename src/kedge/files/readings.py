@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int64
 from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import charts_of, space_of
-from kedge.core.registry import unknown
+from kedge.core.registry import sensors, unknown
 from kedge.estimation.log import SECOND, Readings, Stamped
 from kedge.files.config import AbstractRigConfig, RigConfig, SensorConfig
 from kedge.files.inertial import SLOPE, held, question, unit_of
@@ -128,14 +128,28 @@ def keep_targets(config: RigConfig, raw: RawLog, name: str, notes: list[str]) ->
     return table.take(np.flatnonzero(kept))
 
 
-def read_readings(config: RigConfig, raw: RawLog, name: str, table: Table, cls: Any) -> Stamped:
+def read_readings(
+    config: RigConfig, raw: RawLog, name: str, table: Table, cls: Any, notes: list[str]
+) -> Stamped:
     """A sensor's readings at their event times: the stamps less the latency.
+
+    What cannot have been measured, such as a range of 0, becomes an infinity, which the
+    estimator answers with the verdict NOT_FINITE; ``notes`` counts it.
 
     Raises:
         DataError: a column is missing or of another unit.
     """
     spec = config.sensors[name]
     columns = find_columns(table, components(cls), spec.columns, f"sensors.{name}")
+    for part in sensors.get(spec.model).positive:
+        wrong = columns[part] <= 0
+        if wrong.any():
+            line = table.lines[np.argmax(wrong)]
+            notes.append(
+                f"{name}: {int(wrong.sum())} readings of {part} are not above 0, the first in "
+                f"line {line}; they are refused"
+            )
+            columns[part] = np.where(wrong, np.inf, columns[part])
     target = np.zeros(len(table.stamps), np.int64)
     if spec.map is not None:
         index = {target: at for at, target in enumerate(map_of(config, name, raw.maps).ids)}

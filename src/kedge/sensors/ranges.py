@@ -148,6 +148,7 @@ class Ranges(AbstractSensor[Measurement]):
     reads: ClassVar[Any] = _Layout(Reads)
     measures = Measurement
     nominal_rate = 10.0
+    positive = ("range",)
     target: Anchor = eqx.field(converter=_complete, default=Anchor(_example(None)))
     range_std: Metres = 0.1
     range_std_per_metre: Ratio = 0.0
@@ -183,6 +184,7 @@ class Ranges3(AbstractSensor[Measurement]):
     reads: ClassVar[Any] = _Layout(Reads3)
     measures = Measurement
     nominal_rate = 10.0
+    positive = ("range",)
     target: Anchor = eqx.field(converter=_complete, default=Anchor(_example(2.0)))
     range_std: Metres = 0.1
     range_std_per_metre: Ratio = 0.0
