@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kedge.core.verdicts import Verdict
-from kedge.estimation.batch import Outcome
+from kedge.estimation.step import Outcome
 from kedge.evaluation import style
 
 FEW = 20  # readings; a median of fewer says little
