@@ -40,6 +40,7 @@ Ratio3 = Annotated[Scalar | Float[Array, "3"], Euclidean("1", (3,))]
 # Parameters of models: a plain number in the class body, an array once a driver runs it.
 Metres = Annotated[Scalar, Euclidean("m")]
 Radians = Annotated[Scalar, Euclidean("rad")]
+Radians3 = Annotated[Float[Array, "3"], Euclidean("rad", (3,))]
 Seconds = Annotated[Scalar, Euclidean("s")]
 Ratio = Annotated[Scalar, Euclidean("1")]
 Kilograms = Annotated[Scalar, Euclidean("kg")]

@@ -1,0 +1,78 @@
+"""A body that keeps its velocities: what is known of any vehicle in water or air."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.quantities import (
+    Acceleration3,
+    AccelerationNoise,
+    AngularAcceleration3,
+    AngularRate3,
+    Attitude,
+    Position3,
+    Scalar,
+    Velocity3,
+    YawAccelerationNoise,
+)
+from kedge.core.registry import vehicles
+from kedge.core.rotations import exp, multiply, rotate
+
+
+class State(NamedTuple):
+    position: Position3
+    attitude: Attitude
+    velocity_body: Velocity3
+    """Over ground: forward, left, up."""
+    angular_rate: AngularRate3
+
+
+class Control(NamedTuple):
+    """Nothing: the vehicle is watched, not driven."""
+
+
+class Noise(NamedTuple):
+    acceleration: Acceleration3
+    angular_acceleration: AngularAcceleration3
+
+
+@vehicles.add("body-twist")
+class BodyTwist(AbstractVehicle[State, Control, Noise]):
+    r"""Velocity and angular rate of the body wander, each driven by white noise.
+
+    $\dot p = R(q)\, v_b,\ \dot q = q \otimes \omega / 2,\ \dot v_b = w_v,\
+    \dot\omega = w_\omega$, by the midpoint rule.
+
+    It knows nothing of forces, so it is never wrong about them: with velocities and angles
+    measured it is the motion model of a navigation filter, and the baseline that a hydrodynamic
+    model has to beat.
+
+    Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
+    and Navigation", 2001, section 6.2.2 (white-noise acceleration), here in the body.
+    """
+
+    acceleration_noise: AccelerationNoise = 0.1
+    angular_noise: YawAccelerationNoise = 0.1
+
+    def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
+        velocity = state.velocity_body + noise.acceleration * dt / 2
+        rate = state.angular_rate + noise.angular_acceleration * dt / 2
+        middle = multiply(state.attitude, exp(rate * dt / 2))
+        attitude = multiply(middle, exp(rate * dt / 2))
+        return State(
+            position=state.position + rotate(middle, velocity) * dt,
+            attitude=attitude / jnp.sqrt(attitude @ attitude),
+            velocity_body=state.velocity_body + noise.acceleration * dt,
+            angular_rate=state.angular_rate + noise.angular_acceleration * dt,
+        )
+
+    def noise_density(self) -> Noise:
+        return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
+
+    def start(self) -> State:
+        level = jnp.array([1.0, 0.0, 0.0, 0.0])
+        return State(jnp.zeros(3), level, jnp.array([1.5, 0.0, 0.0]), jnp.zeros(3))
+
+    def drive(self, time: Scalar) -> Control:
+        return Control()
