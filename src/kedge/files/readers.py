@@ -12,6 +12,7 @@ from kedge.files.logs import RawLog
 FORMATS = {
     "euroc_mh01_imu": "kedge.files.euroc:read_euroc",
     "folder": "kedge.files.logs:read_folder",
+    "auv_akit_snapir": "kedge.files.akit:read_akit",
     "hanyang_uwb": "kedge.files.hanyang:read_hanyang",
     "labyrinth": "kedge.files.labyrinth:read_labyrinth",
     "lias_trolley": "kedge.files.lias:read_lias",

@@ -1,5 +1,6 @@
 """A body that keeps its velocities: what is known of any vehicle in water or air."""
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -33,8 +34,17 @@ class Control(NamedTuple):
 
 
 class Noise(NamedTuple):
+    """Means over a step, and what they do not tell of the way between."""
+
     acceleration: Acceleration3
     angular_acceleration: AngularAcceleration3
+    between: Acceleration3
+    angular_between: AngularAcceleration3
+
+
+BRIDGE = 1 / math.sqrt(12)
+r"""The integral of white noise twice has the covariance of its mean's, and this times $dt^2$ of
+an independent noise: $dt^3/3 = dt^3/4 + dt^3/12$."""
 
 
 @vehicles.add("body-twist")
@@ -43,6 +53,10 @@ class BodyTwist(AbstractVehicle[State, Control, Noise]):
 
     $\dot p = R(q)\, v_b,\ \dot q = q \otimes \omega / 2,\ \dot v_b = w_v,\
     \dot\omega = w_\omega$, by the midpoint rule.
+
+    The noise of a step has the covariance of the continuous motion: positions and angles are
+    not tied to the velocities' noise, as they would be by one acceleration for a whole step,
+    which matters where exact angles come seldom.
 
     It knows nothing of forces, so it is never wrong about them: with velocities and angles
     measured it is the motion model of a navigation filter, and the baseline that a hydrodynamic
@@ -56,8 +70,9 @@ class BodyTwist(AbstractVehicle[State, Control, Noise]):
     angular_noise: YawAccelerationNoise = 0.1
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
-        velocity = state.velocity_body + noise.acceleration * dt / 2
-        rate = state.angular_rate + noise.angular_acceleration * dt / 2
+        velocity = state.velocity_body + (noise.acceleration / 2 + BRIDGE * noise.between) * dt
+        angular = noise.angular_acceleration / 2 + BRIDGE * noise.angular_between
+        rate = state.angular_rate + angular * dt
         middle = multiply(state.attitude, exp(rate * dt / 2))
         attitude = multiply(middle, exp(rate * dt / 2))
         return State(
@@ -68,7 +83,8 @@ class BodyTwist(AbstractVehicle[State, Control, Noise]):
         )
 
     def noise_density(self) -> Noise:
-        return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
+        linear, angular = jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise)
+        return Noise(linear, angular, linear, angular)
 
     def start(self) -> State:
         level = jnp.array([1.0, 0.0, 0.0, 0.0])
