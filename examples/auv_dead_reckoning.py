@@ -2,9 +2,9 @@
 
     python examples/auv_dead_reckoning.py FOLDER [--runs 1,2,3] [--first SECONDS]
 
-FOLDER holds DVL_trajectoryN.csv and GT_trajectoryN.csv. Prints for each run, in % of the distance
-covered, how far the reference's own velocity misses its position, and the error at the end of
-dead reckoning from the Doppler log with the reference's attitude:
+FOLDER holds DVL_trajectoryN.csv and GT_trajectoryN.csv. Prints for each run, in % of the
+distance covered, how far the reference's own velocity misses its position, and the error at the
+end of dead reckoning from the Doppler log with the reference's attitude:
 
 * raw: as it is stamped, scale 1, no misalignment, no arm;
 * others: scale, misalignment, arm and clock from all other runs (their medians);
@@ -106,7 +106,9 @@ def main() -> None:
 
 
 def _percents(values) -> str:
-    return "".join(f"{value:{width}.2f}%" for value, width in zip(values, (10, 7, 7, 7)))
+    return "".join(
+        f"{value:{width}.2f}%" for value, width in zip(values, (10, 7, 7, 7), strict=True)
+    )
 
 
 if __name__ == "__main__":

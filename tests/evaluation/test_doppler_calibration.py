@@ -37,7 +37,7 @@ def motion(time):
 
 
 def log(noise=0.0):
-    turns, velocity, rate = motion(TIME + LAG)
+    _, velocity, rate = motion(TIME + LAG)
     swung = velocity + np.cross(rate, ARM)
     z = SCALE * Rotation.from_rotvec(-SMALL).apply(swung)
     return z + noise * np.random.default_rng(0).normal(size=z.shape)

@@ -9,7 +9,7 @@ EXAMPLES = str(Path(__file__).parents[2] / "examples")
 
 
 def test_calibration_on_other_runs_takes_half_of_the_error(data, monkeypatch):
-    """Of the distance covered, medians of three runs: 0.36 % raw, 0.19 % (over all seven too)."""
+    """Medians over three runs, of the distance covered."""
     monkeypatch.syspath_prepend(EXAMPLES)
     monkeypatch.delitem(sys.modules, "auv_dead_reckoning", raising=False)
     import auv_dead_reckoning as example

@@ -49,7 +49,7 @@ def calibrate(
 
     The reference's velocity and attitude are continued between its samples by splines, and its
     angular rate is that of the spline. Residuals count as by the loss soft L1. An arm can be
-    told from the mount only where the vehicle turns, a lag only where its velocity changes.
+    told only where the vehicle turns, a lag only where its velocity changes.
 
     Args:
         time: stamps of the readings, in s, on the reference's clock.
@@ -61,7 +61,7 @@ def calibrate(
 
     Source: J. Kinsey and L. Whitcomb, "In situ alignment calibration of attitude and Doppler
     sensors for precision underwater vehicle navigation: theory and experiment", IEEE Journal of
-    Oceanic Engineering 32(2), 2007 (least squares against a reference; here with arm and clock).
+    Oceanic Engineering 32(2), 2007 (least squares against a reference).
     """
     for field in ("attitude", "velocity_body"):
         if field not in reference.fields:

@@ -1,8 +1,8 @@
 """Runs of a sea-going AUV with a Doppler log, and the post-processed navigation beside it.
 
 A run is two files, ``DVL_trajectoryN.csv`` (velocities forward, right, down) and
-``GT_trajectoryN.csv`` (geodetic position, velocity north, east, down, and roll, pitch, yaw). The
-map has its origin where the reference begins, and its height 0 at that of the file.
+``GT_trajectoryN.csv`` (geodetic position, velocity north, east, down, and roll, pitch, yaw).
+The map has its origin where the reference begins, and its height 0 at that of the file.
 
 Source: N. Cohen and I. Klein, "Adaptive Kalman-Informed Transformer", Engineering Applications
 of Artificial Intelligence 146, 2025 (the recordings of the Snapir).
@@ -45,9 +45,9 @@ def read_akit(path: Path, part: str | None = None) -> RawLog:
     """Read one run of a folder.
 
     Its sources are ``dvl``, ``reference`` and ``rates``. The reference is the truth as well:
-    position, attitude and velocity in the body. No gyroscope was recorded: the angular rates are
-    those of a spline through the reference's attitudes, before and after. A note says how far the
-    reference's own velocity and position are apart.
+    position, attitude and velocity in the body. No gyroscope was recorded: the angular rates
+    are those of a spline through the reference's attitudes, before and after. A note says how
+    far the reference's own velocity and position are apart.
 
     Args:
         path: a folder with DVL_trajectoryN.csv and GT_trajectoryN.csv, also in folders below.

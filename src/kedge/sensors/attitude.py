@@ -1,6 +1,6 @@
 """Attitude and heading reference system: the whole attitude in one reading."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,8 @@ from kedge.core.quantities import Attitude, Radians, Radians3
 from kedge.core.registry import sensors
 from kedge.core.rotations import conjugate, exp, multiply, rotate
 
+ZEROS: Any = np.zeros(3)
+
 
 class Measurement(NamedTuple):
     attitude: Attitude
@@ -18,7 +20,7 @@ class Measurement(NamedTuple):
 
 class Reads(NamedTuple):
     attitude: Attitude
-    attitude_bias: Radians3 = np.zeros(3)
+    attitude_bias: Radians3 = ZEROS
 
 
 @sensors.add("attitude")
@@ -45,7 +47,7 @@ class AttitudeReference(AbstractSensor[Measurement]):
     def observe(self, state: Reads) -> Measurement:
         return Measurement(multiply(state.attitude, exp(jnp.asarray(state.attitude_bias))))
 
-    def noise_cov(self, state: Reads) -> Float[Array, "3 3"]:
+    def noise_cov(self, state: Any) -> Float[Array, "3 3"]:
         """Of a turn about the vertical, and of one about the axes that lie level."""
         vertical = rotate(conjugate(state.attitude), jnp.array([0.0, 0.0, 1.0]))
         tilt, heading = self.tilt_std**2, self.heading_std**2

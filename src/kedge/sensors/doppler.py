@@ -1,6 +1,6 @@
 """Doppler velocity logs: velocity over the ground, or through the water."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,8 @@ from kedge.core.quantities import (
 from kedge.core.registry import sensors
 from kedge.core.rotations import conjugate, exp, rotate
 
+ZEROS: Any = np.zeros(3)
+
 
 class Measurement(NamedTuple):
     velocity_body: Velocity3
@@ -28,18 +30,18 @@ class Reads(NamedTuple):
     velocity_body: Velocity3
     angular_rate: AngularRate3
     doppler_scale: Ratio = 1.0
-    doppler_misalignment: Radians3 = np.zeros(3)
-    doppler_arm: Position3 = np.zeros(3)
+    doppler_misalignment: Radians3 = ZEROS
+    doppler_arm: Position3 = ZEROS
 
 
 class ReadsThroughWater(NamedTuple):
     attitude: Attitude
     velocity_body: Velocity3
     angular_rate: AngularRate3
-    current: Velocity3 = np.zeros(3)
+    current: Velocity3 = ZEROS
     doppler_scale: Ratio = 1.0
-    doppler_misalignment: Radians3 = np.zeros(3)
-    doppler_arm: Position3 = np.zeros(3)
+    doppler_misalignment: Radians3 = ZEROS
+    doppler_arm: Position3 = ZEROS
 
 
 def _as_turned(state: Reads | ReadsThroughWater, velocity: Float[Array, "3"]) -> Measurement:
@@ -57,9 +59,9 @@ class Doppler(AbstractSensor[Measurement]):
 
     with the scale s, the misalignment $\epsilon$ (a small turn, rad) and the arm l (m) from the
     state where they are estimated (``doppler_scale``, ``doppler_misalignment``,
-    ``doppler_arm``). What is known of arm and orientation beforehand is the sensor's mount; the
-    estimated ones come on top, in the sensor's axes. Without bottom lock there is no reading, or
-    one that is missing.
+    ``doppler_arm``). What is known of arm and orientation beforehand is the sensor's mount;
+    the estimated ones come on top, in the sensor's axes. Without bottom lock there is no
+    reading, or one that is missing.
 
     Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
     Systems", 2nd ed., 2013, section 6.5 (Doppler sonar) and 2.5.5 (lever arms).

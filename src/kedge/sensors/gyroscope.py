@@ -1,6 +1,6 @@
 """Gyroscopes: how fast the body turns about its own axes."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +9,8 @@ from kedge.core.contracts import AbstractSensor
 from kedge.core.quantities import AngularRate3, YawRate
 from kedge.core.registry import sensors
 
+ZEROS: Any = np.zeros(3)
+
 
 class Measurement(NamedTuple):
     angular_rate: AngularRate3
@@ -16,7 +18,7 @@ class Measurement(NamedTuple):
 
 class Reads(NamedTuple):
     angular_rate: AngularRate3
-    gyroscope_bias: AngularRate3 = np.zeros(3)
+    gyroscope_bias: AngularRate3 = ZEROS
 
 
 @sensors.add("gyroscope")

@@ -1,6 +1,6 @@
-"""Ultra-short baseline: range and direction of transponders, as the vehicle's head hears them."""
+"""Ultra-short baseline: range and direction of transponders, as the vehicle hears them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ from kedge.core.quantities import Attitude, Bearing, Metres, Position3, Radians,
 from kedge.core.registry import sensors
 from kedge.core.rotations import conjugate, polar, rotate
 
+MAP: Any = np.array([[20.0, -10.0, -30.0]])  # m, of the example
 STEEPEST = 0.05
 """Least cosine of the elevation by which the noise of the bearing is divided."""
 
@@ -47,7 +48,7 @@ class Usbl(AbstractSensor[Measurement]):
     reads = Reads
     measures = Measurement
     nominal_rate = 0.1
-    target: Transponder = Transponder(np.array([[20.0, -10.0, -30.0]]))
+    target: Transponder = Transponder(MAP)
     range_std: Metres = 0.1
     range_std_per_metre: Ratio = 0.01
     angle_std: Radians = 0.01
