@@ -70,8 +70,8 @@ def calibrate(
     there = (time >= begin) & (time <= end) & np.isfinite(velocity).all(axis=1)
     if there.sum() < FEWEST:
         raise DataError(
-            f"calibrate: found {there.sum()} readings beside the reference, from {begin:.1f} to "
-            f"{end:.1f} s; expected {FEWEST} or more"
+            f"calibrate: found {there.sum()} readings beside the reference, from {begin:.1f} "
+            f"to {end:.1f} s; expected {FEWEST} or more"
         )
     time, velocity = time[there], velocity[there]
     turns = Rotation.from_quat(reference.fields["attitude"][:, [1, 2, 3, 0]])
