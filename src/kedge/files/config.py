@@ -186,6 +186,23 @@ class OutputConfig(Strict):
     rate: Positive = 10.0
 
 
+class StandingConfig(Strict):
+    """Whose word it takes that a vehicle stands, and how still it must be over a window (s).
+
+    Both have to agree. A wheel alone says so when its encoder is dead or it is lifted, an IMU
+    alone when the vehicle glides at constant speed on a smooth floor.
+    """
+
+    imu: str = "imu"
+    wheel: str
+    column: str = "speed"
+    window: Positive = 1.0
+    speed: Positive = 0.01  # m/s
+    force_std: Positive = 0.1  # m/s^2
+    rate_std: Positive = 0.01  # rad/s
+    rate: Positive = 10.0  # Hz, of the readings that it makes
+
+
 class AbstractRigConfig(Strict):
     """What rigs and scenarios share: a vehicle, its sensors and what is believed at first."""
 
@@ -252,6 +269,7 @@ class RigConfig(AbstractRigConfig):
     bag: BagConfig | None = None
     truth: TruthConfig = TruthConfig()
     control: ControlConfig | None = None
+    standing: StandingConfig | None = None
     filter: FilterConfig = FilterConfig()
     output: OutputConfig = OutputConfig()
 

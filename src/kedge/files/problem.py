@@ -35,6 +35,7 @@ from kedge.files.readings import (
     read_controls,
     read_readings,
 )
+from kedge.files.standing import with_standing
 from kedge.files.tables import Table, require_finite
 
 MOST_OUTPUTS = 5e6
@@ -97,6 +98,8 @@ def load_problem(
     config = load_rig_config(rig, overrides)
     build_vehicle(config)  # what does not fit is said before a long file is read
     raw = read_log(log, config.format, config.bag)
+    if config.standing is not None:
+        raw = with_standing(config.standing, raw, config.origin)
     bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)
     notes = list(raw.notes)
     reference = _reference(raw, truth)

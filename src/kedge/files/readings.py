@@ -37,6 +37,9 @@ def find_columns(
     found = {}
     for part, unit in wanted.items():
         column = renamed.get(part, part)
+        if (constant := _number(column)) is not None and column not in table.columns:
+            found[part] = np.full(len(table.stamps), constant)
+            continue
         found[part] = table.column(column)
         if table.units[column] != unit:
             raise DataError(
@@ -44,6 +47,14 @@ def find_columns(
                 f"expected {unit!r} for {place}.{part}"
             )
     return found
+
+
+def _number(text: str) -> float | None:
+    """A column that is a number is one for all rows, in the component's own unit."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _fields(cls: Any, columns: Mapping[str, Float[np.ndarray, " n"]], rows: int) -> Any:

@@ -1,5 +1,7 @@
 """Strapdown inertial navigation on the ellipsoid: earth rate, transport rate, real gravity."""
 
+from typing import Any
+
 import jax.numpy as jnp
 
 from kedge.core.quantities import Metres, Radians, Scalar
@@ -29,7 +31,7 @@ class GeodeticStrapdown(AbstractStrapdown):
     """Of the map's origin."""
     height: Metres = 0.0
 
-    def step(self, state: State, control: Imu, noise: Imu, dt: Scalar) -> State:
+    def step(self, state: State, control: Any, noise: Imu, dt: Scalar) -> State:
         felt = self.felt(control, noise, dt)
         attitude = jnp.asarray(state.attitude)
         origin = Origin(self.latitude, 0.0, self.height)
