@@ -40,7 +40,6 @@ def test_navego(data):
     rmse = dict(
         zip(errors.labels, np.sqrt(np.mean(errors.error[late] ** 2, axis=0)), strict=True)
     )
-    print(rmse)
     assert rmse["position_y"] == pytest.approx(0.2294, rel=0.01)
     assert rmse["position_x"] == pytest.approx(0.3602, rel=0.01)
     assert rmse["position_z"] == pytest.approx(0.5133, rel=0.01)
@@ -52,7 +51,6 @@ def test_navego(data):
     gap = angles(true["attitude"]) - angles(np.array(track.mean.attitude))
     gap = np.degrees((gap + np.pi) % (2 * np.pi) - np.pi)
     yaw, pitch, roll = np.sqrt(np.mean(gap[late] ** 2, axis=0))
-    print(roll, pitch, yaw)
     assert roll == pytest.approx(0.0664, rel=0.03)
     assert pitch == pytest.approx(0.0648, rel=0.03)
     assert yaw == pytest.approx(0.4166, rel=0.05)
