@@ -60,6 +60,7 @@ def case(tmp_path):
             length = np.linalg.norm(anchor - [x, y, 0.5]) + [0.3, 0, 0, -0.2][number]
             length += 0.05 * rng.standard_normal()
             rows.append(f"{epoch + 0.001 * number},{'ABCD'[number]},{length:.6f}")
+    rows.append("59.9,X,3.0")  # an anchor that is not on the map
     (log / "uwb.csv").write_text("\n".join(rows) + "\n")
     (log / "truth.csv").write_text("\n".join(path) + "\n")
     return str(tmp_path / "rig.toml"), str(log), tmp_path / "out"
@@ -70,6 +71,7 @@ def test_fixes_with_their_accuracy(case):
     summary = execute(rig, log, out, Options(("gls", "ml"), report=False))
     found = json.loads((out / "summary.json").read_text())["filters"]
     assert found == summary["filters"]
+    assert any("1 ranges of anchors that are not on the map" in n for n in summary["notes"])
     for name in ("gls", "ml"):
         assert found[name]["epochs"] == 60
         assert found[name]["fixes"] == 55

@@ -141,6 +141,11 @@ def epochs_in(problem: Problem, sensor: str | None, window: float) -> Heard:
         found = Epochs(time, values, np.tile(row[:, None], (1, count)))
     else:
         target = np.asarray(readings.target)[row]
+        if strange := int((target < 0).sum()):
+            problem.notes.append(
+                f"{own.name}: {strange} ranges of anchors that are not on the map, or that "
+                "stand in the log twice, were left out"
+            )
         found = epochs_of(time, target, values[:, 0], count, window)
     lifted = (std / told.scale, told.excess / told.scale, told.rise)
     each = [jnp.broadcast_to(jnp.asarray(leaf), found.ranges.shape) for leaf in lifted]
