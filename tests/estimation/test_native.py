@@ -13,6 +13,7 @@ from kedge.core.registry import filters, sensors, vehicles
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import estimate_with_history
 from kedge.estimation.log import REPEATED
+from kedge.estimation.online import Estimator, replay
 from kedge.estimation.rig import check_reads
 from kedge.numerics.losses import Loss
 from kedge.simulation.simulate import schedule, simulate, with_readings
@@ -200,3 +201,22 @@ def test_same_for_every_vehicle(name):
     except ContractError as error:
         pytest.skip(str(error))
     assert_same(found, kedge.estimate(filter, rig, log, engine="xla"), rtol=1e-9)
+
+
+def test_online_is_the_batch_to_the_bit(problem):
+    """Readings with and without their own covariance, by two programs of one memory each."""
+    scenario, log = problem
+    filter = kedge.make_filter("extended")
+    first = jax.tree.map(lambda leaf: leaf[0], log.controls)
+    for given in (
+        log,
+        log._replace(readings=tuple(r._replace(cov=None) for r in log.readings)),
+    ):
+        whole = kedge.estimate(filter, scenario.rig, given, engine="native")
+        online = Estimator(filter, scenario.rig, control=first, engine="native")
+        answers = list(replay(online, given))
+        for field in ("position", "heading"):
+            mine = np.stack([getattr(answer.moments.mean, field) for answer in answers])
+            np.testing.assert_array_equal(mine, getattr(whole.moments.mean, field))
+        verdicts = [int(answer.verdict) for answer in answers]
+        assert verdicts == np.asarray(whole.outcome.verdict).tolist()

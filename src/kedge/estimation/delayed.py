@@ -50,6 +50,8 @@ class State(NamedTuple):
     """Predictions so far, and"""
     takes: int
     """readings so far: the next keys follow from them."""
+    words: Any = None
+    """The same for machine code, which then need not put it together again."""
 
 
 class Entry(NamedTuple):
@@ -60,6 +62,8 @@ class Entry(NamedTuple):
     outcome: Outcome
     passage: Any
     """What the smoother needs of the prediction; None if the filter cannot be smoothed."""
+    moments: Any = None
+    """Mean and covariance after it, where they are known already."""
 
 
 class Window:

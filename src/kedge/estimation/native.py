@@ -15,7 +15,7 @@ from jax.extend.core import Literal
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig
-from kedge.estimation.traced import Estimates, pass_over
+from kedge.estimation.traced import Estimates, whole_pass
 from kedge.numerics.native.graph import Unsupported
 from kedge.numerics.native.kernel import Kernel, prepared
 from kedge.numerics.native.program import Argument, build
@@ -109,7 +109,7 @@ class One:
             outputs = kernel.fresh(events, 1)
             kernel.run(arrays, outputs, events)
             found = jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
-            estimates, history = self.compiled.tree(leaves, found)
+            estimates, history, _ = self.compiled.tree(leaves, found)
             if self.keep is not None:
                 return _picked(self.keep, estimates)
             return (estimates, history) if self.history else estimates
@@ -155,7 +155,7 @@ def _unpacked(
             flat[place] = value
         for place, value in zip(kernel.places, own, strict=True):
             flat[place] = value
-        estimates, _ = jax.tree.unflatten(compiled.results, flat)
+        estimates = jax.tree.unflatten(compiled.results, flat)[0]
         return estimates if keep is None else keep(estimates)
 
     return jax.vmap(one)([by_run(array) for array in raw])
@@ -193,7 +193,7 @@ def _traced(form: Form) -> Traced:
 
     def program(leaves: list[Any], key: Any) -> Any:
         filter, rig, log = jax.tree.unflatten(structure, leaves)
-        return pass_over(filter, rig, log, key, history)
+        return whole_pass(filter, rig, log, key, history)
 
     make: Any = jax.make_jaxpr(program, return_shape=True)
     jaxpr, results = make(arrays, jr.key(0))

@@ -14,8 +14,10 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.core.verdicts import Verdict
+from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.log import Log, Readings
+from kedge.estimation.native_step import NativeStep
 from kedge.estimation.passage import is_smoothable, passage, require_smoothable
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.smoother import backward
@@ -28,6 +30,8 @@ from kedge.estimation.step import (
     take_in,
     widest,
 )
+
+FLOAT = jax.dtypes.canonicalize_dtype(float)
 
 
 class Answer(NamedTuple):
@@ -67,6 +71,7 @@ class Estimator:
         lag: float = 0.0,
         horizon: float = math.inf,
         capacity: int = 10_000,
+        engine: Engine = "auto",
     ):
         for name, found, good in (
             ("lag", lag, 0 <= lag < math.inf),
@@ -82,6 +87,9 @@ class Estimator:
         still = jax.tree.map(jnp.zeros_like, as_arrays(rig.vehicle.drive(0.0)))
         held = still if control is None else _floats(control)
         standing = _begin(self._filter, self._rig, self._key)
+        self._native = NativeStep(
+            self._filter, self._rig, held, lag > 0 and is_smoothable(self._filter), engine
+        )
         self._window = Window(State(standing, float(start), held, 0, 0), lag, capacity)
 
     @property
@@ -125,7 +133,8 @@ class Estimator:
         if sensor is not None:
             rank = self._rig.index(sensor)
             seen, spread = _floats((measurement, cov))
-            reading = Readings(seen, jnp.asarray(target), spread)
+            which: Any = np.asarray(target)
+            reading = Readings(seen, which, spread)
         held = None if control is None else _floats(control)
         event = Event(float(time), rank, sequence, reading, held)
         if time - self.time > self._horizon:
@@ -166,10 +175,16 @@ class Estimator:
             state = entries[-1].after
         # Only now, so that an event that raises has changed nothing.
         self._window.replace(place, entries)
-        return Answer(_moments(self.belief), entries[0].outcome, len(entries) - 1)
+        newest = self._window.entries[-1].moments
+        moments = _moments(self.belief) if newest is None else newest
+        return Answer(moments, entries[0].outcome, len(entries) - 1)
 
     def _next(self, state: State, event: Event) -> Entry:
         """One event done, from the state before it."""
+        done = self._native.take(state, event)
+        if done is not None:
+            after, moments, outcome, past = done
+            return Entry(event, after, outcome, past, moments)
         moves = state.moves + (event.time > state.time)
         takes = state.takes + (event.reading is not None)
         predict_key, update_key = _keys(self._key, moves, takes)
@@ -238,7 +253,7 @@ _EXPECTED = {
 
 def _floats(tree: Any) -> Any:
     """Arrays of one type, whatever type of number a driver has at hand."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, FLOAT), tree)
 
 
 # Compiled, because an operation that is not costs as much as an event.

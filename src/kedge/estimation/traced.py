@@ -37,6 +37,13 @@ def pass_over(
 
     Parameters must be arrays already; with ``keep`` the second result is the history.
     """
+    return whole_pass(filter, rig, log, key, keep)[:2]
+
+
+def whole_pass(
+    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
+) -> tuple[Estimates, Any, Any]:
+    """The same, and what is left to the next event: standing, time, moves and takes."""
 
     def predict(belief, control, dt, key):
         motion = filter, rig.vehicle, belief, control, dt, key
@@ -72,5 +79,5 @@ def pass_over(
     none = jnp.zeros((), int)
     start = begin(filter, rig, key), jnp.zeros(()), none, none
     events = log.schedule, log.controls
-    _, (moments, outcome, history) = lax.scan(body, start, events)
-    return Estimates(log.schedule.time, moments, outcome), history
+    left, (moments, outcome, history) = lax.scan(body, start, events)
+    return Estimates(log.schedule.time, moments, outcome), history, left

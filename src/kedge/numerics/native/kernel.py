@@ -22,7 +22,7 @@ class Kernel:
         self.lanes = LANES if batched else 1
         self.arguments = program.arguments
         self.outputs = [(o.kind, o.shape) for o in program.outputs]
-        self.passed, self.places = program.passed, program.places
+        self.passed, self.places, self.ends = program.passed, program.places, program.ends
         self.carried = [node.kind for node in program.carried]
         self.code = compile_text(Writer(program, self.lanes).write())
 

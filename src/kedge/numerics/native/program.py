@@ -55,6 +55,9 @@ class Program(NamedTuple):
     """Results that are arguments as they came: number of the result to that of the argument."""
     places: list[int]
     """Numbers of the other results, in the order of ``outputs``."""
+    ends: dict[int, int]
+    """Results that are what the last event leaves: number of the result to that among what is
+    carried. What no event changes is not carried, and no result."""
 
 
 def build(traced: ClosedJaxpr, arguments: Sequence[Argument | None], batched: bool) -> Program:
@@ -135,20 +138,25 @@ def _loop(
     left = [n for v in found[:count] for n in interpreter.nodes(v).flat]
     results = {v: number for number, v in enumerate(loop.outvars)}
     numbers = {v: number for number, v in enumerate(jaxpr.invars)}
-    outputs, passed, places = [], {}, []
+    outputs, passed, places, ends = [], {}, [], {}
     for place, atom in enumerate(jaxpr.outvars):
+        if isinstance(atom, Literal):
+            continue
         if atom in numbers:
             passed[place] = numbers[atom]
             continue
-        if results.get(atom, 0) < count:
-            raise Unsupported("a result that is not of each event")
+        if atom not in results:
+            continue
+        if results[atom] < count:
+            ends[place] = results[atom]
+            continue
         array = interpreter.nodes(found[results[atom]])
         kind = kind_of(loop.outvars[results[atom]].aval.dtype)
         outputs.append(Output(kind, list(array.flat), array.shape))
         places.append(place)
     there = [a if a is not None else Argument("f8", (), False, False) for a in arguments]
     first = [n for array in start for n in array.flat]
-    return Program(there, once, body, first, carried, left, outputs, passed, places)
+    return Program(there, once, body, first, carried, left, outputs, passed, places, ends)
 
 
 def _varying(

@@ -1,0 +1,149 @@
+"""One event at a time by the machine code of a pass, over memory that stays where it is."""
+
+import math
+from typing import Any
+
+import jax
+import numpy as np
+
+from kedge.core.contracts import AbstractFilter
+from kedge.core.manifolds import space_of
+from kedge.estimation.compiled import Engine, compiled_pass
+from kedge.estimation.delayed import Event, State
+from kedge.estimation.log import Log, Readings, Schedule
+from kedge.estimation.rig import Rig
+from kedge.estimation.step import Standing
+from kedge.numerics.native.algebra import TYPES
+from kedge.numerics.native.kernel import prepared
+
+NO_EVENT = -1
+
+
+class NativeStep:
+    """The event step for one rig; ``take`` gives None where machine code cannot do it.
+
+    Readings that bring a covariance have a program of their own, compiled when the first comes.
+    """
+
+    def __init__(
+        self, filter: AbstractFilter, rig: Rig, control: Any, history: bool, engine: Engine
+    ):
+        self._filter, self._rig, self._history = filter, rig, history
+        self._engine: Engine = engine
+        self._control = control
+        self._programs: dict[int, Program | None] = {}
+
+    def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any] | None:
+        """The state after an event, the moments, the outcome and the smoother's share."""
+        reading = event.reading
+        own = event.rank if reading is not None and reading.cov is not None else NO_EVENT
+        if own not in self._programs:
+            self._programs[own] = self._compiled(own)
+        program = self._programs[own]
+        return None if program is None else program.take(state, event)
+
+    def _compiled(self, own: int) -> "Program | None":
+        readings = tuple(
+            _blank(installation.sensor.measures, number == own)
+            for number, installation in enumerate(self._rig.sensors)
+        )
+        time: Any = np.zeros(1)
+        sensor: Any = np.zeros(1, np.int64)
+        row: Any = np.zeros(1, np.int64)
+        controls = jax.tree.map(lambda leaf: np.zeros((1, *np.shape(leaf))), self._control)
+        log = Log(Schedule(time, sensor, row), controls, readings)
+        found = compiled_pass(
+            self._filter, self._rig, jax.tree.map(jax.numpy.asarray, log), self._history,
+            self._engine,
+        )  # fmt: skip
+        return None if found is None else Program(found.compiled, self._filter, self._rig, log)
+
+
+class Program:
+    """The compiled step with its memory."""
+
+    def __init__(self, compiled: Any, filter: AbstractFilter, rig: Rig, log: Log):
+        self._log, self._compiled = log, compiled
+        kernel = self._kernel = compiled.kernel
+        fixed = jax.tree.leaves((filter, rig))
+        kinds = [argument.kind for argument in compiled.arguments]
+        self._arrays = [
+            prepared(leaf, kind) for leaf, kind in zip(fixed, kinds, strict=False)
+        ] + jax.tree.leaves(log)
+        self._carry = kernel.carry(1)
+        self._outputs = kernel.fresh(1, 1)
+        self._views = [o.reshape(o.shape[2:-1]) for o in self._outputs]
+        self._block = kernel.block(
+            [*self._arrays, None], self._outputs, self._carry, 1, 0, 1, anew=False
+        )
+        self._address = self._block.ctypes.data
+        self._controls = jax.tree.leaves(log.controls)
+        # What no event changes is not carried: it stays as it was in the standing.
+        first = compiled.results.num_leaves - _left(compiled)
+        self._carried = [place - first for place in sorted(kernel.ends, key=kernel.ends.get)]
+        self._parts: list[tuple[int, slice, tuple[int, ...], str]] | None = None
+
+    def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any]:
+        """The event done in the memory, and copies of what it left there."""
+        schedule, reading = self._log.schedule, event.reading
+        schedule.time[0] = event.time
+        schedule.sensor[0] = NO_EVENT if reading is None else event.rank
+        for there, value in zip(self._controls, jax.tree.leaves(state.control), strict=True):
+            there[0] = value
+        if reading is not None:
+            place = jax.tree.leaves(self._log.readings[event.rank])
+            for there, value in zip(place, jax.tree.leaves(reading), strict=True):
+                there[0] = value
+        carry = self._carry[0]
+        carry[:] = self._packed(state) if state.words is None else state.words
+        self._kernel.code.call(self._address)
+        words = carry.copy()
+        standing = self._standing(state.standing, words)
+        moves = state.moves + (event.time > state.time)
+        takes = state.takes + (reading is not None)
+        control = state.control if event.control is None else event.control
+        after = State(standing, event.time, control, moves, takes, words)
+        found = [view.copy() for view in self._views]
+        estimates, past, _ = self._compiled.tree(self._arrays, found)
+        return after, estimates.moments, estimates.outcome, past
+
+    def _packed(self, state: State) -> np.ndarray:
+        numbers = [*jax.tree.leaves(state.standing), state.time, state.moves, state.takes]
+        parts = []
+        for number in (numbers[place] for place in self._carried):
+            array = np.asarray(number).ravel()
+            is_float = array.dtype.kind == "f"
+            wide = array.astype(np.float64 if is_float else np.int64)
+            parts.append(wide.view(np.int64))
+        return np.concatenate(parts)
+
+    def _standing(self, like: Standing, words: np.ndarray) -> Standing:
+        leaves, structure = jax.tree.flatten(like)
+        if self._parts is None:
+            self._parts, begin = [], 0
+            for place in self._carried:
+                if place >= len(leaves):  # not of the standing
+                    break
+                shape = np.shape(leaves[place])
+                end = begin + math.prod(shape)
+                kind = self._kernel.carried[begin]
+                self._parts.append((place, slice(begin, end), shape, kind))
+                begin = end
+        numbers = words.view(np.float64)
+        for place, cut, shape, kind in self._parts:
+            found = numbers[cut] if kind == "f8" else words[cut].astype(TYPES[kind])
+            leaves[place] = found.reshape(shape)
+        return jax.tree.unflatten(structure, leaves)
+
+
+def _left(compiled: Any) -> int:
+    """How many of the results are what the last event leaves."""
+    return compiled.results.children()[2].num_leaves
+
+
+def _blank(measures: Any, with_cov: bool) -> Readings:
+    outputs = space_of(measures)
+    zeros = [np.zeros((1, *chart.shape)) for chart in outputs.charts]
+    cov: Any = np.zeros((1, outputs.size, outputs.size)) if with_cov else None
+    target: Any = np.zeros(1, np.int64)
+    return Readings(measures(*zeros), target, cov)
