@@ -10,7 +10,7 @@ from kedge.core import registry
 from kedge.testing import check_vehicle
 from kedge.vehicles.augmented import Wander, augment
 
-STEPS = {"underwater": 0.005}
+STEPS = {"underwater": 0.005, "underwater-level": 0.002}
 """Of vehicles that are stiff at the random states: a hull that pitches by 1 rad/s is damped
 with 45/s."""
 

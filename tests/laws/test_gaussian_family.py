@@ -23,7 +23,8 @@ from kedge.vehicles.constant_velocity import ConstantVelocity, Control, State
 NAMES = [
     name
     for name in filters.names()
-    if issubclass(filters.get(name), AbstractGaussianFilter) and name != "dead-reckoning"
+    if issubclass(filters.get(name), AbstractGaussianFilter)
+    and name not in ("dead-reckoning", "raw")
 ]
 LIGHT = {"iterations": 2, "halvings": 1}
 RELINEARISED = ("iterated", "posterior-linearisation")

@@ -33,7 +33,8 @@ from kedge.testing import quick_jit
 GAUSSIAN = [
     name
     for name in filters.names()
-    if issubclass(filters.get(name), AbstractGaussianFilter) and name != "dead-reckoning"
+    if issubclass(filters.get(name), AbstractGaussianFilter)
+    and name not in ("dead-reckoning", "raw")
 ]
 # Each compiles a program of its own; those that share the least of their code are always run.
 FAST = ("kalman", "unscented", "square-root")

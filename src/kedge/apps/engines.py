@@ -17,7 +17,6 @@ from kedge.apps.workflow import use_compilation_cache
 from kedge.core.errors import ConfigError, KedgeError
 from kedge.evaluation.study import Study, Trials
 from kedge.evaluation.study_scores import pack
-from kedge.files.filters import build_filter
 from kedge.files.plugins import load_modules
 from kedge.files.scenarios import ScenarioConfig, Setting, build_setting
 
@@ -67,8 +66,9 @@ class Job(NamedTuple):
             from pathlib import Path
 
             load_modules(Path(self.origin))
-        filters = {name: build_filter(name) for name in self.filters}
-        return Trials(self.study(self.setting()), filters, self.runs, self.chunk, say)
+        setting = self.setting()
+        filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
+        return Trials(self.study(setting), filters, self.runs, self.chunk, say)
 
 
 def compute(job: Job, number: int) -> dict[str, np.ndarray]:

@@ -17,7 +17,7 @@ from kedge.evaluation.study import CHUNK, Trials
 from kedge.evaluation.study_report import write_study_report
 from kedge.evaluation.study_scores import Tally, chunks_of, unpack
 from kedge.files.chunks import ChunkFolder, read_study, study_digest
-from kedge.files.filters import build_filter, split_names
+from kedge.files.filters import split_names
 from kedge.files.scenarios import load_scenario
 
 FORMAT = 1
@@ -183,7 +183,7 @@ def _job(name: str, options: Options) -> Job:
         chunk=options.chunk,
         origin=setting.config.origin,
     )
-    Trials(job.study(setting), {n: build_filter(n) for n in names}, job.runs, job.chunk)
+    Trials(job.study(setting), {n: about.filter_of(n) for n in names}, job.runs, job.chunk)
     return job._replace(chunk=min(job.chunk, job.runs))
 
 

@@ -155,6 +155,22 @@ def check_reads(installation: Installation, state: Any, vehicle: str) -> None:
             raise ContractError(f"sensor {installation.name!r} {why.format(vehicle=vehicle)}")
 
 
+def check_step(vehicle: AbstractVehicle, dt: float, what: str) -> None:
+    """Refuse a step that is too long for a vehicle to stay stable.
+
+    Raises:
+        ContractError: naming the limit.
+    """
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(vehicle)):
+        return  # within a trace, where it was checked before
+    limit = vehicle.longest_step()
+    if dt > limit:
+        raise ContractError(
+            f"{what} is {dt:g} s, expected at most {limit:.3g} s: beyond that the step of "
+            f"{type(vehicle).__name__} is not stable"
+        )
+
+
 def as_arrays(tree: Any) -> Any:
     """Turn float parameters into arrays, so that changing one recompiles nothing."""
 

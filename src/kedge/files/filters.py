@@ -86,7 +86,7 @@ def _value(spec: str, key: str, text: str, kind: type) -> Any:
     if kind is AbstractFilter:
         inside = text[1:-1] if text.startswith("(") and text.endswith(")") else text
         return _build(inside, spec)
-    if kind is str and text:
+    if kind in (str, tuple) and text:  # a list is read from its text by who has it
         return text
     if kind is bool and text in ("true", "false"):
         return text == "true"
@@ -99,5 +99,6 @@ def _value(spec: str, key: str, text: str, kind: type) -> Any:
             return kind(value)
         if type(value) is float and kind is float:
             return value
-    expected = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
+    expected = {bool: "true or false", int: "a whole number", float: "a number"}
+    expected |= {str: "a word", tuple: "a list"}
     raise ConfigError(f"filter {spec!r}: {key}: found {text!r}, expected {expected[kind]}")

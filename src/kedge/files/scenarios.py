@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_type_hints
 from pydantic import Field
 
 from kedge.core.conditions import parse_condition, parse_term
-from kedge.core.contracts import AbstractVehicle
+from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ContractError, KedgeError
 from kedge.core.manifolds import space_of
-from kedge.core.registry import faults, routes, sensors, vehicles, worlds
+from kedge.core.registry import faults, routes, sensors, unknown, vehicles, worlds
 from kedge.estimation.rig import Rig
 from kedge.files.building import (
     build_installation,
@@ -30,6 +30,7 @@ from kedge.files.config import (
 from kedge.files.filters import build_filter
 from kedge.files.models import Parameter, build_model, model_complaints
 from kedge.files.toml import Strict
+from kedge.filters.carried import carrying
 from kedge.simulation.faults import CONTROL, Episodes, Fault, complaint
 from kedge.simulation.routes import AbstractRoute, Facing
 from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
@@ -52,7 +53,10 @@ class RunsConfig(Strict):
     The truth is drawn ``spin_up`` before time 0. A guided world is steered by ``feedback``:
     "none", "truth", "readings", "filter" (each filter of the study in a loop of its own), or
     one filter by its name. Filters are judged by ``field`` of the state; if it is not named,
-    by the position or whatever comes first.
+    by the position or whatever comes first. ``carried`` are fields of the state that no filter
+    estimates: they are integrated from what it does.
+
+    ``names`` are short names for filters with their parameters, used wherever one is named.
     """
 
     title: str
@@ -67,7 +71,9 @@ class RunsConfig(Strict):
     feedback: str = "none"
     score: Literal["pooled", "time-mean-rms"] = "pooled"
     field: str = ""
+    carried: list[str] = []
     filters: Annotated[list[str], Field(min_length=1)]
+    names: dict[str, str] = {}
 
     def complaints(self) -> Iterator[str]:
         """Times that do not go together, filters that cannot be built."""
@@ -83,9 +89,25 @@ class RunsConfig(Strict):
                 f"burn_in: found {self.burn_in:g} s, expected less than the duration, "
                 f"{self.duration:g} s"
             )
-        yield from filter_complaints("filters", self.filters)
+        yield from self.naming_complaints("filters", self.filters)
+        for name, spec in self.names.items():
+            yield from filter_complaints(f"names.{name}", [spec])
         if self.feedback not in FEEDBACKS:
-            yield from filter_complaints("feedback", [self.feedback])
+            yield from self.naming_complaints("feedback", [self.feedback])
+
+    def naming_complaints(
+        self, key: str, names: Mapping[str, Any] | list[str]
+    ) -> Iterator[str]:
+        """Filters that are named twice, or that nobody knows."""
+        yield from filter_complaints(key, names, self.names)
+
+    def filter_of(self, name: str) -> AbstractFilter:
+        """A filter by its short name or as it is typed, with what it carries along.
+
+        Raises:
+            KedgeError: there is no such filter.
+        """
+        return carrying(build_filter(self.names.get(name, name)), self.carried)
 
 
 class PublishedConfig(Strict):
@@ -278,8 +300,13 @@ class ScenarioConfig(AbstractRigConfig):
                 "prior.from_truth: a scenario has no log to take it from; "
                 'leave this key out (scenario.start = "truth" starts near the truth)'
             )
-        yield from filter_complaints("published", list(self.published))
-        yield from filter_complaints("vehicles", list(self.vehicles))
+        yield from self.scenario.naming_complaints("published", list(self.published))
+        yield from self.scenario.naming_complaints("vehicles", list(self.vehicles))
+        fields = type(vehicles.get(self.vehicle.model)().start())._fields
+        for name in self.scenario.carried:
+            if name not in fields:
+                what = unknown("field of the state", name, list(fields))
+                yield f"scenario.carried: {what}"
         for name, spec in self.vehicles.items():
             if spec.slow:
                 yield f"vehicles.{name}.slow: only the rig's vehicle has slow states"
@@ -302,12 +329,16 @@ def condition_complaints(key: str, parse: Callable[[str], Any], text: str) -> It
         yield f"{key}: {error}"
 
 
-def filter_complaints(key: str, specs: Mapping[str, Any] | list[str]) -> Iterator[str]:
+def filter_complaints(
+    key: str, specs: Mapping[str, Any] | list[str], short: Mapping[str, str] = {}
+) -> Iterator[str]:
     """Filters that are named twice or cannot be built, each as ``key: message``."""
     names = list(specs)
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield f"{key}: found {name!r} twice, expected each filter once"
     for name in dict.fromkeys(names):
+        if name in short:
+            continue
         try:
             build_filter(name)
         except KedgeError as error:
@@ -351,7 +382,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
     world = None if config.world is None else config.world.build()
     feedback, navigator = about.feedback, None
     if feedback not in FEEDBACKS:
-        navigator, feedback = Navigator(build_filter(feedback), feedback), "filter"
+        navigator, feedback = Navigator(about.filter_of(feedback), feedback), "filter"
     own = {
         name: build_model(vehicles.get(spec.model), spec.parameters)
         for name, spec in config.vehicles.items()

@@ -22,19 +22,13 @@ from kedge.core.manifolds import Space, space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters, unknown
 from kedge.filters.extended import ExtendedKalman
+from kedge.filters.linearised import CHOICES, coordinates, line_at
 from kedge.numerics.fuzzy import corners, memberships
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, symmetric
-from kedge.numerics.noise import process_std
-from kedge.numerics.propagation import Taylor
 
 Box = tuple[tuple[str, float, float], ...]
 """A component of the state, its lower and its upper end, for each side of the box."""
-
-CHOICES: dict[str, list[str]] = {
-    "predictor": ["affine", "jx"],
-    "covariance": ["correct", "literal"],
-}
 
 
 def as_box(given: Mapping[str, Any] | Box | str | None) -> Box:
@@ -130,7 +124,8 @@ class FuzzyKalman(AbstractFilter[Mixture]):
                     "box takes it from its ends; use a box on one side of zero",
                     stacklevel=2,
                 )
-        for field, known in CHOICES.items():
+        for field in ("predictor", "covariance"):
+            known = CHOICES[field]
             if getattr(self, field) not in known:
                 raise ContractError(f"fuzzy: {unknown(field, getattr(self, field), known)}")
 
@@ -157,38 +152,17 @@ class FuzzyKalman(AbstractFilter[Mixture]):
         """From one state, by every rule's linear model."""
         del key
         centre = belief.moments().mean
-        states, noises = space(centre), space(vehicle.noise_density())
-        std = process_std(vehicle, dt)
+        states = space(centre)
         weights, shifts = self._rules(centre)
-        unit = jnp.eye(states.size, dtype=belief.components.cov.dtype)
-        calm = noises.unflatten(jnp.zeros_like(std))
-        after = vehicle.step(centre, control, calm, dt)
+        noises = space(vehicle.noise_density())
+        after = vehicle.step(centre, control, noises.unflatten(noises.zeros()), dt)
 
         def rule(shift: Float[Array, " n"], cov: Float[Array, "n n"]) -> Gaussian:
             corner = states.boxplus(centre, shift)
+            line = line_at(vehicle, corner, centre, control, dt)
+            mean = line.predicted(centre, "jx") if self.predictor == "jx" else after
+            return Gaussian(mean, line.spread(cov, self.covariance))
 
-            def step(error: Float[Array, " n"], noise: Float[Array, " w"]) -> Any:
-                moved = states.boxplus(corner, error)
-                return vehicle.step(moved, control, noises.unflatten(noise), dt)
-
-            slopes = Taylor().factors(step, unit, std).after
-            F, G = slopes[:, : states.size], slopes[:, states.size :]
-            C = F - unit if self.covariance == "literal" else F
-            mean = after
-            if self.predictor == "jx":
-                mean = states.boxplus(_origin(states), F @ coordinates(centre) + drive)
-            return Gaussian(mean, symmetric(C @ cov @ C.T + G @ G.T))
-
-        drive = jnp.zeros(states.size)
-        if self.predictor == "jx":
-            controls = space(control)
-
-            def steer(shift: Float[Array, " u"]) -> Float[Array, " n"]:
-                steered = controls.boxplus(control, shift)
-                return states.boxminus(vehicle.step(centre, steered, calm, dt), after)
-
-            given = coordinates(control)
-            drive = jax.jvp(steer, (jnp.zeros_like(given),), (given,))[1]
         return Mixture(jax.vmap(rule)(shifts, belief.components.cov), _logs(weights))
 
     def update(
@@ -227,17 +201,6 @@ class FuzzyKalman(AbstractFilter[Mixture]):
         ends = jnp.where(corners(len(self.sides)), upper[None], lower[None]) - values[None]
         shifts = jnp.zeros((ends.shape[0], states.size), at.dtype).at[:, places].set(ends)
         return memberships(values, lower, upper), shifts
-
-
-def coordinates(point: Any) -> Float[Array, " n"]:
-    """A point as a tangent vector from the origin of its charts."""
-    found = space(point)
-    return found.boxminus(point, _origin(found))
-
-
-def _origin(found: Space) -> Any:
-    missing = found.cls(*(jnp.full(chart.shape, jnp.nan) for chart in found.charts))
-    return found.complete(missing)[0]
 
 
 def _place(states: Space, name: str) -> int:

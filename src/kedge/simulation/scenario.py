@@ -13,7 +13,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space_of
 from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND
-from kedge.estimation.rig import Installation, Rig
+from kedge.estimation.rig import Installation, Rig, check_step
 from kedge.simulation.faults import (
     CONTROL,
     AbstractDeliveryFault,
@@ -114,6 +114,7 @@ class Scenario(eqx.Module):
                 f"scenario: duration {self.duration:g} s and dt {self.dt:g} s; expected "
                 "0 < dt <= duration"
             )
+        check_step(self.rig.vehicle, self.dt, "scenario: dt")
         if not 0 <= self.spin_up < np.inf:
             raise ContractError(f"scenario: spin_up is {self.spin_up:g} s, expected 0 or more")
         if self.world is not None and self.spin_up:

@@ -1,6 +1,7 @@
 """Coefficients of hulls from files: those that come with kedge, and one's own."""
 
 import functools as ft
+import json
 import math
 import tomllib
 import warnings
@@ -26,13 +27,17 @@ def as_coefficients(given: Coefficients | str) -> Coefficients:
     """Coefficients as they are, by the name of a shipped set, or from a TOML file by path.
 
     A file gives every coefficient once, in tables of any name, as those that come with kedge.
+    Some can be changed after a colon: ``remus100-adjusted:buoyancy=299,Yvv=-131``.
 
     Raises:
         UnknownName: no set of that name comes with kedge.
-        ConfigError: the file is missing or wrong; one line for each mistake.
+        ConfigError: the file is missing or wrong, or a change is; one line for each mistake.
     """
     if not isinstance(given, str):
         return given
+    whole, _, changes = given.partition(":")
+    if changes:
+        return _changed(given, as_coefficients(whole), changes)
     path = Path(given)
     if path.suffix == ".toml" or len(path.parts) > 1:
         return _read(given, path)
@@ -41,11 +46,45 @@ def as_coefficients(given: Coefficients | str) -> Coefficients:
     return _shipped(given)
 
 
+def as_toml(hull: Coefficients, title: str, source: str) -> str:
+    """The text of a coefficient file, to be edited and used by its path."""
+    lines = [f"title = {json.dumps(title)}", f"source = {json.dumps(source)}"]
+    groups = {"drive": ["Xprop", "Kprop", "fin_limit"]}
+    names = [name for name in hull.values() if name not in groups["drive"]]
+    axes = {"surge": "X", "sway": "Y", "heave": "Z", "roll": "K", "pitch": "M", "yaw": "N"}
+    groups["body"] = [name for name in names if name[0] not in "XYZKMN"]
+    groups |= {axis: [n for n in names if n[0] == letter] for axis, letter in axes.items()}
+    for group, members in groups.items():
+        lines += ["", f"[{group}]"]
+        lines += [f"{name} = {float(getattr(hull, name)):.6g}" for name in members]
+    return "\n".join([*lines, ""])
+
+
 @ft.cache
 def _shipped(name: str) -> Coefficients:
     place = resources.files("kedge") / "vehicles" / "coefficients" / f"{name}.toml"
     with resources.as_file(place) as path:
         return _read(name, path)
+
+
+def _changed(given: str, hull: Coefficients, changes: str) -> Coefficients:
+    known, values = hull.values(), {}
+    for change in changes.split(","):
+        key, _, text = (part.strip() for part in change.partition("="))
+        if key not in known:
+            raise ConfigError(f"{given}: {unknown('coefficient', key, list(known))}")
+        try:
+            values[key] = float(text)
+        except ValueError:
+            values[key] = math.nan
+        if not math.isfinite(values[key]):
+            raise ConfigError(f"{given}: {key}: found {text!r}, expected a finite number")
+    try:
+        changed = hull.changed(**values)
+    except ContractError as error:
+        raise ConfigError(f"{given}: {error}") from error
+    _warn_of_sinking(given, changed.values())
+    return changed
 
 
 def _read(name: str, path: Path) -> Coefficients:

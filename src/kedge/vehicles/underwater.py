@@ -109,7 +109,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
         reply = response(self.hull, self.drag_scale)
-        commands = self.commands(control)
+        commands = clipped(self.hull, control, self.thrust_scale)
         shaken = jnp.concatenate(
             [FLIP[:3] * noise.acceleration, FLIP[3:] * noise.angular_acceleration]
         )
@@ -131,13 +131,6 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         velocity = FLIP * x[:6]
         drift = rotate(conjugate(attitude), current)
         return State(x[6:9], attitude, velocity[:3] + drift, velocity[3:])
-
-    def commands(self, control: Control) -> Float[Array, "4"]:
-        """Propulsion as scaled, and fins as far as they turn."""
-        limit, scale = self.hull.fin_limit, self.thrust_scale
-        parts = [scale * control.thrust, scale * control.roll_torque]
-        parts += [jnp.clip(fin, -limit, limit) for fin in (control.rudder, control.stern)]
-        return jnp.stack([jnp.asarray(part) for part in parts])
 
     def noise_density(self) -> Noise:
         return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
@@ -163,6 +156,16 @@ FLIP: Any = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 DOWN: Any = np.array([-1.0, 1.0, 1.0])
 """From the map's up in the body (forward, left, up) to gravity's direction there (forward,
 starboard, down)."""
+
+
+def clipped(
+    hull: Coefficients, control: Control, thrust_scale: Scalar = 1.0
+) -> Float[Array, "4"]:
+    """The commands as they act: propulsion as scaled, and fins as far as they turn."""
+    parts = [thrust_scale * control.thrust, thrust_scale * control.roll_torque]
+    limit = hull.fin_limit
+    parts += [jnp.clip(fin, -limit, limit) for fin in (control.rudder, control.stern)]
+    return jnp.stack([jnp.asarray(part) for part in parts])
 
 
 def integrate(
