@@ -54,11 +54,15 @@ class Boat(AbstractVehicle[State, Push, Push]):
         return Push(jnp.asarray(0.7))
 
 
-class Log(AbstractSensor[Push]):
-    """Measures the speed (the field's name does not matter)."""
+class Spoken(NamedTuple):
+    speed: Speed
 
-    reads = NamedTuple("Reads", [("speed", Speed)])
-    measures = NamedTuple("Measurement", [("speed", Speed)])
+
+class Log(AbstractSensor[Spoken]):
+    """Measures the speed."""
+
+    reads = Spoken
+    measures = Spoken
 
     def observe(self, state):
         return self.measures(state.speed)

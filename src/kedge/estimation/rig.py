@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from kedge.core.beliefs import Gaussian
@@ -161,7 +162,7 @@ def check_step(vehicle: AbstractVehicle, dt: float, what: str) -> None:
     Raises:
         ContractError: naming the limit.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(vehicle)):
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(vehicle)):
         return  # within a trace, where it was checked before
     limit = vehicle.longest_step()
     if dt > limit:
