@@ -56,7 +56,7 @@ def plot_component(track: Track, index: int, label: str) -> Any:
     truth = factor * _continuous(track, track.truth[:, index])
     axes = style.subplots(2, 1, 4.6, sharex=True, height_ratios=[1.25, 1])[:, 0]
     upper, lower = axes
-    if track.route is not None:
+    if track.route is not None and index < track.route.shape[1]:  # a route may have no height
         _route(upper, track.time, factor * _continuous(track, track.route[:, index]))
     if not track.driven:
         upper.plot(*envelope(track.time, truth), color=style.color("truth"), lw=2.8, alpha=0.35)
