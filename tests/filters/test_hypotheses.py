@@ -1,0 +1,73 @@
+"""A start of which the heading is not known, found among several."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.errors import ContractError
+from kedge.core.rotations import rotate
+from kedge.filters.dead_reckoning import DeadReckoning
+from kedge.filters.ensemble import EnsembleKalman
+from kedge.filters.extended import ExtendedKalman
+from kedge.filters.hypotheses import Hypotheses
+from kedge.filters.robust import Robust
+from kedge.sensors.gnss import Gnss, Measurement
+from kedge.testing import quick_jit
+from kedge.vehicles.strapdown import Strapdown
+from kedge.vehicles.unicycle import Control, State, Unicycle
+
+NONE = jnp.zeros(2, jnp.uint32)
+
+
+def test_the_starts_stand_around_the_circle():
+    prior = Gaussian(State(jnp.ones(2), jnp.array(0.5)), jnp.diag(jnp.array([4.0, 9.0, 0.01])))
+    belief = Hypotheses(count=4).init(prior, NONE)
+    found = np.sort(np.asarray(belief.components.mean.heading))
+    np.testing.assert_allclose(
+        found, np.sort([0.5, 0.5 + np.pi / 2, 0.5 - np.pi, 0.5 - np.pi / 2])
+    )
+    np.testing.assert_allclose(np.exp(belief.log_weights), 0.25)
+    np.testing.assert_allclose(belief.components.mean.position, 1.0)
+    # All headings are as likely, so the mixture knows none; where it is, it knows as before.
+    moments = belief.moments()
+    assert moments.cov[2, 2] > 1.5
+    np.testing.assert_allclose(jnp.diag(moments.cov)[:2], [4.0, 9.0])
+
+
+def test_an_attitude_is_turned_about_the_vertical():
+    start = Strapdown().start()
+    belief = Hypotheses(count=4).init(Gaussian(start, 0.01 * jnp.eye(9)), NONE)
+    ahead = [rotate(q, jnp.array([1.0, 0.0, 0.0])) for q in belief.components.mean.attitude]
+    np.testing.assert_allclose(
+        ahead, [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], atol=1e-12
+    )
+
+
+def test_fixes_on_the_way_tell_the_heading():
+    """It drives north, having been told east; one fix on the way is an outlier."""
+    filter = Robust(Hypotheses(ExtendedKalman()))
+    vehicle, sensor = Unicycle(speed_noise=0.05), Gnss(std=0.3)
+    prior = Gaussian(State(jnp.zeros(2), jnp.array(0.0)), 0.01 * jnp.eye(3))
+
+    @quick_jit
+    def step(belief, fix):
+        moved = filter.predict(vehicle, belief, Control(2.0, 0.0), 1.0, NONE)
+        return filter.update(sensor, moved, Measurement(fix), NONE)[0]
+
+    belief = filter.init(prior, NONE)
+    for second in range(1, 6):
+        place = [0.0, 2.0 * second] if second != 3 else [30.0, -30.0]
+        belief = step(belief, jnp.array(place))
+    heading = belief.components.mean.heading[jnp.argmax(belief.log_weights)]
+    assert abs(heading - np.pi / 2) < 0.3
+    np.testing.assert_allclose(jnp.exp(belief.log_weights).sum(), 1.0)
+    assert np.isfinite(belief.moments().cov).all()
+
+
+def test_what_it_refuses():
+    with pytest.raises(ContractError, match="count is 1, must be at least 2"):
+        Hypotheses(count=1)
+    with pytest.raises(ContractError, match="EnsembleKalman, which carries no Gaussian"):
+        Hypotheses(EnsembleKalman())
+    assert Hypotheses(DeadReckoning()).count == 8
