@@ -25,7 +25,8 @@ def evidence():
     hard = np.random.default_rng(0).chisquare(1, 300)
     noise = np.random.default_rng(1).normal(1, 0.1, 300)
     once, none = np.ones(300), np.zeros((300, 0))
-    sums = TimeSums(*(np.zeros(1) for _ in TimeSums._fields))
+    nothing, by_time, by_reading = np.zeros(()), np.zeros(10), np.zeros(0)
+    sums = TimeSums(nothing, np.zeros((10, 4)), by_time, *[by_reading] * 3)
 
     def result(squared, seconds):
         squared = np.repeat(squared[:, None], 4, 1)
