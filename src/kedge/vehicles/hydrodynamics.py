@@ -116,7 +116,8 @@ class Coefficients(eqx.Module):
                     f"{one} is {getattr(self, one):g} and {other} {getattr(self, other):g}, "
                     "expected one value: the mass matrix is symmetric"
                 )
-        least = float(np.linalg.eigvalsh(np.asarray(self.mass()))[0])
+        with jax.ensure_compile_time_eval():  # plain numbers, even if somebody is tracing
+            least = float(np.linalg.eigvalsh(np.asarray(self.mass()))[0])
         if not least > 0:
             raise ContractError(
                 f"the mass matrix is not positive definite: found the eigenvalue {least:.6g}, "
