@@ -63,6 +63,11 @@ class Euclidean:
     shape: tuple[int, ...] = ()
 
     @property
+    def _names(self) -> tuple[str, ...]:
+        """The fields'; none where nothing stands, as in the control ``()``."""
+        return getattr(self.cls, "_fields", ())
+
+    @property
     def size(self) -> int:
         """Dimension of the tangent space."""
         return self.shape[0] if self.shape else 1
@@ -186,7 +191,7 @@ class Space(Generic[S]):
         axes = "xyz"
         return tuple(
             f"{name}_{axes[i] if chart.size <= 3 else i}" if chart.size > 1 else name
-            for name, chart in zip(self.cls._fields, self.charts, strict=True)
+            for name, chart in zip(self._names, self.charts, strict=True)
             for i in range(chart.size)
         )
 
@@ -198,7 +203,7 @@ class Space(Generic[S]):
     def slices(self) -> dict[str, slice]:
         """Where each field's components stand in a tangent vector."""
         found, start = {}, 0
-        for name, chart in zip(self.cls._fields, self.charts, strict=True):
+        for name, chart in zip(self._names, self.charts, strict=True):
             found[name] = slice(start, start + chart.size)
             start += chart.size
         return found

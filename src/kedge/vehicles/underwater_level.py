@@ -1,5 +1,6 @@
 """The underwater vehicle as much of the literature integrates it: always level."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import ContractError, unknown
 from kedge.core.quantities import (
     AccelerationNoise,
     AngularRate3,
@@ -18,9 +20,10 @@ from kedge.core.quantities import (
 )
 from kedge.core.registry import vehicles
 from kedge.core.rotations import direction, wrap
+from kedge.numerics.stability import RULES
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import Coefficients, features, response
-from kedge.vehicles.underwater import FLIP, Control, Noise, clipped
+from kedge.vehicles.underwater import FLIP, Control, Noise, clipped, integrate
 
 
 class State(NamedTuple):
@@ -35,9 +38,14 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
     r"""All six velocities, but position and heading as if the vehicle never rolled or pitched.
 
     $\dot x = u \cos\psi - v \sin\psi,\ \dot y = u \sin\psi + v \cos\psi,\ \dot z = w,\
-    \dot\psi = r$, and the velocities as in :mod:`kedge.vehicles.hydrodynamics`, upright. By
-    Euler's rule. A torpedo dives by pitching, which this model cannot do; it is there so that
-    published experiments can be repeated. For navigation use "underwater".
+    \dot\psi = r$, and the velocities as in :mod:`kedge.vehicles.hydrodynamics`, upright. A
+    torpedo dives by pitching, which this model cannot do; it is there so that published
+    experiments can be repeated, with ``integrator`` "euler" by their rule. For navigation use
+    "underwater".
+
+    Raises:
+        ContractError: an unknown integrator.
+        ConfigError: the coefficients cannot be used.
 
     Source: Ngatini et al., "Comparison of AUV position estimation using Kalman filter,
     ensemble Kalman filter and fuzzy Kalman filter algorithm in the specified trajectories",
@@ -49,13 +57,22 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
     )
     acceleration_noise: AccelerationNoise = 0.02
     angular_noise: YawAccelerationNoise = 0.02
+    integrator: str = eqx.field(static=True, default="rk4")
+
+    def __check_init__(self):
+        if self.integrator not in RULES:
+            what = unknown("integrator", self.integrator, list(RULES))
+            raise ContractError(f"underwater-level: {what}")
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
         hull = as_coefficients(self.coefficients)
-        velocity = FLIP * jnp.concatenate([state.velocity_body, state.angular_rate])
+        reply, commands = response(hull), clipped(hull, control)
         down = jnp.array([0.0, 0.0, 1.0])
-        push = response(hull) @ features(velocity, down, clipped(hull, control))
-        return moved_level(state, FLIP * push, noise, dt)
+
+        def push(velocity: Float[Array, "6"]) -> Float[Array, "6"]:
+            return FLIP * (reply @ features(FLIP * velocity, down, commands))
+
+        return moved_level(self.integrator, push, state, noise, dt)
 
     def noise_density(self) -> Noise:
         return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
@@ -82,7 +99,7 @@ class LevelTwist(AbstractVehicle[State, Control, Noise]):
     angular_noise: YawAccelerationNoise = 0.02
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
-        return moved_level(state, jnp.zeros(6), noise, dt)
+        return moved_level("rk4", jnp.zeros_like, state, noise, dt)
 
     def noise_density(self) -> Noise:
         return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
@@ -94,17 +111,26 @@ class LevelTwist(AbstractVehicle[State, Control, Noise]):
         return _drive(as_coefficients("remus100-adjusted"), time)
 
 
-def moved_level(state: State, push: Float[Array, "6"], noise: Noise, dt: Scalar) -> State:
-    """One step of Euler's rule, with accelerations forward, left, up."""
-    velocity = state.velocity_body
-    ahead, left = direction(state.heading), direction(state.heading + jnp.pi / 2)
-    plane = ahead * velocity[0] + left * velocity[1]
-    return State(
-        state.position + dt * jnp.append(plane, velocity[2]),
-        wrap(state.heading + dt * state.angular_rate[2]),
-        velocity + dt * (push[:3] + noise.acceleration),
-        state.angular_rate + dt * (push[3:] + noise.angular_acceleration),
-    )
+def moved_level(
+    rule: str,
+    push: Callable[[Float[Array, "6"]], Float[Array, "6"]],
+    state: State,
+    noise: Noise,
+    dt: Scalar,
+) -> State:
+    """One step; ``push`` gives the accelerations (forward, left, up) at a velocity."""
+    shaken = jnp.concatenate([noise.acceleration, noise.angular_acceleration])
+
+    def rates(x: Float[Array, "10"]) -> Float[Array, "10"]:
+        """Of the six velocities, the position and the heading."""
+        velocity, heading = x[:6], x[9]
+        plane = direction(heading) * velocity[0] + direction(heading + jnp.pi / 2) * velocity[1]
+        moved = jnp.array([plane[0], plane[1], velocity[2], velocity[5]])
+        return jnp.concatenate([push(velocity) + shaken, moved])
+
+    parts = [*state.velocity_body, *state.angular_rate, *state.position, state.heading]
+    x = integrate(rule, rates, jnp.stack(parts), dt)
+    return State(x[6:9], wrap(x[9]), x[:3], x[3:6])
 
 
 def _start() -> State:
