@@ -63,11 +63,6 @@ class Euclidean:
     shape: tuple[int, ...] = ()
 
     @property
-    def _names(self) -> tuple[str, ...]:
-        """The fields'; none where nothing stands, as in the control ``()``."""
-        return getattr(self.cls, "_fields", ())
-
-    @property
     def size(self) -> int:
         """Dimension of the tangent space."""
         return self.shape[0] if self.shape else 1
@@ -151,6 +146,11 @@ class Space(Generic[S]):
     def size(self) -> int:
         """Dimension of the tangent space, which is the size of every covariance."""
         return sum(chart.size for chart in self.charts)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """The fields'; none where nothing stands, as in the control ``()``."""
+        return getattr(self.cls, "_fields", ())
 
     def zeros(self) -> Float[Array, " n"]:
         """Origin of the tangent space."""

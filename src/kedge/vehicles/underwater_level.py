@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractVehicle
-from kedge.core.errors import ContractError, unknown
+from kedge.core.errors import ContractError
 from kedge.core.quantities import (
     AccelerationNoise,
     AngularRate3,
@@ -18,7 +18,7 @@ from kedge.core.quantities import (
     Velocity3,
     YawAccelerationNoise,
 )
-from kedge.core.registry import vehicles
+from kedge.core.registry import unknown, vehicles
 from kedge.core.rotations import direction, wrap
 from kedge.numerics.stability import RULES
 from kedge.vehicles.coefficient_files import as_coefficients
