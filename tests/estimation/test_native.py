@@ -22,7 +22,12 @@ pytest.importorskip("llvmlite")
 RANDOM = {
     "auxiliary", "denkf", "enkf-n", "ensemble", "etkf", "guided", "particle", "serial-enkf",
 }  # fmt: skip
-LOOPS = {"fuzzy-noise": "scan", "gauss-hermite": "instructions"}
+LOOPS = {
+    "fuzzy-noise": "scan",
+    "gauss-hermite": "instructions",
+    "hypotheses": "instructions",
+    "posterior-linearisation": "instructions",
+}
 FAST = {"extended"}
 STRAIGHT = [
     pytest.param(name, marks=() if name in FAST else pytest.mark.slow)
