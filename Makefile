@@ -53,7 +53,7 @@ check: lint test ## all that a change must pass: lint, then the fast tests
 
 .PHONY: bench
 bench: .venv/.dev .venv/.rivals ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
-	BENCH=$(BENCH) $(BIN)/pytest benchmarks --jaxtyping-packages= $(ARGS)
+	BENCH=$(BENCH) $(BIN)/pytest benchmarks $(ARGS)
 
 .PHONY: format
 format: .venv/.dev ## rewrite the sources in the project's format

@@ -6,6 +6,21 @@ from pathlib import Path
 import jax
 import pytest
 from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+# Arguments and results of every function of kedge are checked at each call, shapes too. But
+# not those of the second compiler: it makes millions of calls, and each would take three times
+# as long.
+SOURCE = Path(__file__).parents[1] / "src" / "kedge"
+install_import_hook(
+    [
+        f"kedge.{'.'.join(path.relative_to(SOURCE).with_suffix('').parts)}"
+        for folder in (SOURCE, SOURCE / "numerics")
+        for path in folder.iterdir()
+        if not path.name.startswith("__") and path.name not in ("numerics", "native")
+    ],
+    "beartype.beartype",
+)
 
 # In the environment, so that the programs that tests start have them too.
 os.environ.setdefault("MPLBACKEND", "Agg")

@@ -18,7 +18,6 @@ def example():
     return module
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["omni-circle", "omni-square"])
 def test_one_lap_tunes_as_well_as_a_hand(example, name):
     tuned, scores = example.compare(name, seed=0, runs=40)
