@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -19,7 +22,7 @@ from kedge.files.readers import read_log
 RANGE = "uint16 id\nfloat32 metres\n"
 SCAN = "std_msgs/Header header\nuwb/Range[] ranges\n"
 TIMES = (10.5, 10.6)
-KINDS = "bag", "sqlite3", "mcap folder", "mcap file", "json"
+KINDS = "bag", "sqlite3", "mcap folder", "mcap file", "json", "protobuf"
 
 
 def config(**changes) -> BagConfig:
@@ -55,6 +58,49 @@ def scans(store, first: bool):
         yield scan(header=header(stamp=stamp, frame_id="", **head), ranges=ranges)
 
 
+def protobuf():
+    """A scan as protobuf knows it: its class, and the definition that a file carries."""
+    file = FileDescriptorProto(name="uwb.proto", package="uwb", syntax="proto3")
+    fields = {
+        "Time": {"sec": (5, 1, ""), "nanosec": (5, 1, "")},  # int32, one of them
+        "Header": {"stamp": (11, 1, ".uwb.Time")},  # a message
+        "Range": {"id": (5, 1, ""), "metres": (2, 1, "")},  # float
+        "Scan": {"header": (11, 1, ".uwb.Header"), "ranges": (11, 3, ".uwb.Range")},
+    }
+    for name, own in fields.items():
+        message = file.message_type.add(name=name)
+        for number, (field, (kind, label, of)) in enumerate(own.items(), 1):
+            message.field.add(name=field, number=number, type=kind, label=label, type_name=of)
+    pool = DescriptorPool()
+    pool.Add(file)
+    scan = GetMessageClass(pool.FindMessageTypeByName("uwb.Scan"))
+    return scan, FileDescriptorSet(file=[file]).SerializeToString()
+
+
+def mcap(path: Path, kind: str) -> Path:
+    """The scans as JSON or as protobuf, neither of which ROS knows."""
+    scan, definition = protobuf()
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        if kind == "json":
+            schema = writer.register_schema("uwb.Scan", "jsonschema", b"{}")
+        else:
+            schema = writer.register_schema("uwb.Scan", "protobuf", definition)
+        channel = writer.register_channel("/uwb", kind, schema)
+        for number, at in enumerate(TIMES):
+            ranges = [{"id": 7 + k, "metres": 100.0 * (1 + number) + k} for k in range(2)]
+            stamp = {"sec": int(at), "nanosec": round((at % 1) * 1e9)}
+            content = {"header": {"stamp": stamp}, "ranges": ranges}
+            data = json.dumps(content).encode()
+            if kind == "protobuf":
+                data = scan(**content).SerializeToString()
+            time = int(at * 1e9) + 5000
+            writer.add_message(channel, log_time=time, publish_time=time, data=data)
+        writer.finish()
+    return path
+
+
 def write(folder: Path, kind: str) -> Path:
     if kind == "bag":
         path, store = folder / "drive.bag", types(Stores.ROS1_NOETIC)
@@ -65,21 +111,8 @@ def write(folder: Path, kind: str) -> Path:
                 writer.write(topic, int(at * 1e9) + 5000, data)
         return path
     store = types(Stores.ROS2_HUMBLE)
-    if kind == "json":
-        path = folder / "drive.mcap"
-        with path.open("wb") as file:
-            writer = McapWriter(file)
-            writer.start()
-            schema = writer.register_schema("uwb.Scan", "jsonschema", b"{}")
-            channel = writer.register_channel("/uwb", "json", schema)
-            for number, at in enumerate(TIMES):
-                ranges = [{"id": 7 + k, "metres": 100.0 * (1 + number) + k} for k in range(2)]
-                stamp = {"sec": int(at), "nsec": round((at % 1) * 1e9)}
-                data = json.dumps({"header": {"stamp": stamp}, "ranges": ranges}).encode()
-                time = int(at * 1e9) + 5000
-                writer.add_message(channel, log_time=time, publish_time=time, data=data)
-            writer.finish()
-        return path
+    if kind in ("json", "protobuf"):
+        return mcap(folder / "drive.mcap", kind)
     path = folder / "drive"
     plugin = StoragePlugin.SQLITE3 if kind == "sqlite3" else StoragePlugin.MCAP
     with Writer2(path, version=9, storage_plugin=plugin) as writer:

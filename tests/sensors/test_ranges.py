@@ -6,6 +6,8 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ConfigError, ContractError
+from kedge.core.verdicts import Verdict
+from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Mount, Rig
 from kedge.files.scenarios import load_scenario
 from kedge.filters.extended import ExtendedKalman
@@ -126,3 +128,21 @@ def test_a_file_sizes_the_biases_by_its_map(tmp_path):
     path.write_text(SCENARIO.replace("position_y =", "north ="))
     with pytest.raises(ConfigError, match=r"yard\.toml: sensors\.radio: .*'position_y'"):
         load_scenario(str(path))
+
+
+@pytest.mark.parametrize(
+    ("reading", "verdict"),
+    [
+        (2.05, Verdict.FUSED),
+        (1.6, Verdict.FUSED),
+        (1.4, Verdict.NOT_FINITE),
+        (-3, Verdict.NOT_FINITE),
+    ],
+)
+def test_shorter_than_the_difference_of_heights(reading, verdict):
+    """The anchor is 2 m above the tag: 0.4 m less is noise of 0.1 m, 0.6 m less is not."""
+    radio = Ranges(target=Anchor(PLACES, position_z=2.5), range_std=0.1, tag_height=0.5)
+    rig = Rig(Unicycle(), (Installation("radio", radio),), Gaussian(POSE, jnp.eye(3)))
+    estimator = Estimator(ExtendedKalman(), rig)
+    answer = estimator.push(0.0, "radio", Measurement(jnp.array(float(reading))), target=1)
+    assert answer.verdict == verdict

@@ -184,6 +184,14 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
         """Size of the measurement."""
         return space_of(self.measures).size
 
+    def possible(self, state: Any, measurement: Z) -> Bool[Array, ""] | bool:
+        """Whether the sensor, with its noise, would read this anywhere.
+
+        What the sensor itself is like (its scale, its bias) is that of the state.
+        """
+        del state, measurement
+        return True
+
     def project(self, state: Any) -> Any:
         """The fields in ``reads`` of a state, defaults filled in."""
         fields = (f for f in self.reads._fields if hasattr(state, f))

@@ -20,7 +20,8 @@ class Verdict(enum.IntEnum):
     FUTURE = 4
     """Stamped further ahead than the estimator allows."""
     NOT_FINITE = 5
-    """Nothing usable in it, an infinity, or an update that would not be finite."""
+    """Nothing usable in it (missing, infinite, or what no state explains, such as a range that
+    is shorter than the difference of heights), or an update that would not be finite."""
     BAD_COVARIANCE = 6
     """The covariance that came with it is not positive definite."""
     UNKNOWN_TARGET = 7

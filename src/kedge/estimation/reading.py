@@ -70,6 +70,11 @@ class Sighting(AbstractMeasurementModel):
         """How many components are there."""
         return jnp.sum(self.present)
 
+    def possible(self, state: Any, measurement: Any) -> Bool[Array, ""]:
+        """Whether the sensor could have read this of its target at all."""
+        seen = self.installation.sensor.facing(self.target)
+        return jnp.asarray(seen.possible(state, measurement))
+
     def source(self) -> str:
         """The sensor's name."""
         return self.installation.name

@@ -171,6 +171,7 @@ def take_in(
     if reading.cov is not None:
         unless(is_positive_definite(model.noise_cov(None)), Verdict.BAD_COVARIANCE)
     infinite = [jnp.isinf(leaf).any() for leaf in jax.tree.leaves(reading.measurement)]
+    unless(model.possible(belief.moments().mean, measurement), Verdict.NOT_FINITE)
     unless(model.present.any() & ~jnp.stack(infinite).any(), Verdict.NOT_FINITE)
     unless(installation.knows(reading.target), Verdict.UNKNOWN_TARGET)
     unless(reading.target != REPEATED, Verdict.DUPLICATE)

@@ -155,7 +155,7 @@ def _scores(
             total = jnp.sum(jnp.where(there, values, 0.0))
             found.append(jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan))
     bound = chi_square_bound(states.size, 0.95)
-    known = states.size <= UNROLLED
+    known = states.size <= UNROLLED_COLUMNS
     inside = jnp.where(judged.nees <= bound, 1.0, 0.0)
     return RunScores(
         time_mean_rms=mean(jnp.sqrt(jnp.mean(judged.squared, axis=1))),

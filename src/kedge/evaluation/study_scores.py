@@ -22,7 +22,7 @@ class RunScores(NamedTuple):
     squared: Float[Values, "*runs n"]
     """Mean squared error of each tangent component."""
     nees: Float[Values, "*runs"]
-    """Mean NEES; NaN for states of more than 8 components, whose covariances are not kept."""
+    """Mean NEES; NaN for states of more than 32 components, whose covariances are not kept."""
     coverage: Float[Values, "*runs"]
     """Share of times at which the truth lay in the 95 % ellipsoid."""
     nis: Float[Values, "*runs sensors"]

@@ -243,7 +243,7 @@ def windows(
         return {
             "rmse": {
                 name: float(np.sqrt(squared[cut].sum()))
-                for name, cut in states.slices().items()
+                for name, cut in (states.slices() | _in_plan(states)).items()
             },
             "nees": float(np.asarray(sums.nees)[times].mean() / count),
             "nis_per_dof": nis / freedom if freedom else float("nan"),
@@ -338,4 +338,10 @@ def _parts(states: Space) -> dict[str, slice]:
         parts[name] = cut
         if 1 < cut.stop - cut.start <= 3:
             parts |= {states.labels[i]: slice(i, i + 1) for i in range(cut.start, cut.stop)}
-    return parts
+    return parts | _in_plan(states)
+
+
+def _in_plan(states: Space) -> dict[str, slice]:
+    """Of a position in space, what a map shows of it."""
+    cut = states.slices().get("position", slice(0, 0))
+    return {"horizontal": slice(cut.start, cut.start + 2)} if cut.stop - cut.start == 3 else {}

@@ -10,7 +10,7 @@ from kedge.core.conditions import parse_condition, parse_term
 from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ContractError, KedgeError
 from kedge.core.manifolds import space_of
-from kedge.core.registry import faults, routes, sensors, unknown, vehicles, worlds
+from kedge.core.registry import routes, sensors, unknown, vehicles, worlds
 from kedge.estimation.rig import Rig
 from kedge.files.building import (
     build_installation,
@@ -27,11 +27,12 @@ from kedge.files.config import (
     load_config,
     shipped,
 )
+from kedge.files.fault_config import FaultConfig, Span
 from kedge.files.filters import build_filter
 from kedge.files.models import Parameter, build_model, model_complaints
 from kedge.files.toml import Strict
 from kedge.filters.carried import carrying
-from kedge.simulation.faults import CONTROL, Episodes, Fault, complaint
+from kedge.simulation.faults import CONTROL, complaint
 from kedge.simulation.routes import AbstractRoute, Facing
 from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
 
@@ -39,8 +40,6 @@ MOST_STEPS = 1e7
 """More steps than this in one run is a wrong dt rather than a long scenario."""
 
 NotNegative = Annotated[Finite, Field(ge=0)]
-Span = Annotated[list[Finite], Field(min_length=2, max_length=2)]
-"""From, to; s."""
 
 
 class RunsConfig(Strict):
@@ -225,43 +224,6 @@ class WorldConfig(Strict):
         return build_model(worlds.get(self.model), self.parameters, **others)
 
 
-class EpisodesConfig(Strict):
-    """Stretches that begin ``rate`` times a second and last ``duration`` s, in the mean."""
-
-    rate: Positive
-    duration: Positive
-
-    def build(self) -> Episodes:
-        """The episodes."""
-        return Episodes(self.rate, self.duration)
-
-
-class FaultConfig(Strict):
-    """What goes wrong with a sensor, or with what filters are told of the control, and when."""
-
-    on: str
-    model: str
-    parameters: dict[str, Parameter] = {}
-    windows: list[Span] = []
-    episodes: EpisodesConfig | None = None
-
-    def complaints(self) -> Iterator[str]:
-        """Unknown names, and what the fault refuses."""
-        wrong = list(model_complaints(faults, self.model, self.parameters))
-        yield from wrong
-        if not wrong:
-            try:
-                self.build("")
-            except ContractError as error:
-                yield f"parameters: {error}"
-
-    def build(self, name: str) -> Fault:
-        """The fault."""
-        kind = build_model(faults.get(self.model), self.parameters)
-        windows = tuple((begin, end) for begin, end in self.windows)
-        return Fault(name, self.on, kind, windows, self.episodes and self.episodes.build())
-
-
 class ScenarioConfig(AbstractRigConfig):
     """A scenario file."""
 
@@ -279,12 +241,21 @@ class ScenarioConfig(AbstractRigConfig):
     windows: dict[str, list[Span]] = {}
     """Stretches of time (from, to; s) that are scored apart, by name."""
 
+    def ids_of(self, sensor: str) -> list[str]:
+        """Of the targets on a sensor's map; none without one."""
+        spec = self.sensors.get(sensor)
+        found = None if spec is None or spec.map is None else self.maps.get(spec.map)
+        return [] if found is None else list(found.ids)
+
     def drive_complaints(self, control: Any) -> Iterator[str]:
         """Keys that belong to logs: a scenario drives as its vehicle's ``drive`` says."""
         spaces = {n: space_of(sensors.get(s.model).measures) for n, s in self.sensors.items()}
         for name, spec in self.faults.items():
             if wrong := complaint(spec.build(name), {CONTROL: space_of(control)} | spaces):
                 yield f"faults.{name}.{wrong}"
+            if strange := [t for t in spec.targets if t not in self.ids_of(spec.on)]:
+                known = self.ids_of(spec.on) or "no map of targets there"
+                yield f"faults.{name}.targets: found {strange}, expected some of {known}"
         for name, sensor in self.sensors.items():
             log_keys = ("source", "columns", "target", "ignore_targets", "std", "covariance")
             for key in log_keys:
@@ -396,7 +367,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
             world,
             feedback,
             navigator,
-            tuple(spec.build(name) for name, spec in config.faults.items()),
+            tuple(s.build(name, config.ids_of(s.on)) for name, s in config.faults.items()),
         )
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error

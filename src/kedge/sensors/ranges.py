@@ -14,6 +14,7 @@ from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position, Position3, Range, Ratio
 from kedge.core.registry import sensors
 
+CHANCE = 5.0  # standard deviations by which noise may shorten a range
 SHORTEST = 1e-9  # m; at the anchor itself a direction is made up, so that slopes stay finite
 
 
@@ -127,6 +128,14 @@ def _std(sensor: Any, distance: Float[Array, ""]) -> Measurement:
     return Measurement(jnp.where(own > 0, own, common))
 
 
+def _possible(sensor: Any, state: Any, measurement: Measurement, rise: Any) -> Any:
+    """Whether a range is positive and, but for noise, no shorter than the least distance."""
+    least = jnp.abs(rise)
+    expected = _range(sensor, sensor.project(state), least).range
+    noise = _std(sensor, least).range
+    return (measurement.range > 0) & (measurement.range >= expected - CHANCE * noise)
+
+
 @sensors.add("ranges")
 class Ranges(AbstractSensor[Measurement]):
     r"""Range to anchors for a vehicle in the plane; the heights of tag and anchors are known.
@@ -160,6 +169,10 @@ class Ranges(AbstractSensor[Measurement]):
 
     def noise_std(self, state: Any) -> Measurement:
         return _std(self, self._distance(state))
+
+    def possible(self, state: Any, measurement: Measurement) -> Any:
+        rise = jnp.asarray(self.tag_height - self.target.position_z)
+        return _possible(self, state, measurement, rise)
 
     def ranging(self, state: Any) -> Ranging:
         rise = jnp.asarray(self.tag_height - self.target.position_z)
@@ -195,6 +208,9 @@ class Ranges3(AbstractSensor[Measurement]):
 
     def noise_std(self, state: Any) -> Measurement:
         return _std(self, self._distance(state))
+
+    def possible(self, state: Any, measurement: Measurement) -> Any:
+        return _possible(self, state, measurement, jnp.zeros(()))
 
     def ranging(self, state: Any) -> Ranging:
         return _told(self, state, jnp.zeros(()))

@@ -108,7 +108,10 @@ class AbstractDeliveryFault(AbstractFault):
 
 
 class Fault(eqx.Module):
-    """A kind of fault on a sensor, and when: in its windows (s), in its episodes, or always."""
+    """A kind of fault on a sensor, and when: in its windows (s), in its episodes, or always.
+
+    It concerns readings of the targets with the numbers ``targets``, of all if there are none.
+    """
 
     name: str = eqx.field(static=True)
     on: str = eqx.field(static=True)
@@ -116,15 +119,23 @@ class Fault(eqx.Module):
     kind: AbstractFault
     windows: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
     episodes: Episodes | None = None
+    targets: tuple[int, ...] = eqx.field(static=True, default=())
 
-    def when(self, key: PRNGKeyArray, time: Float[np.ndarray, " n"]) -> When:
-        """At which of the times it is there."""
+    def when(
+        self,
+        key: PRNGKeyArray,
+        time: Float[np.ndarray, " n"],
+        target: Int[np.ndarray, " n"] | int = 0,
+    ) -> When:
+        """At which of the times, each with a reading of one target, it is there."""
         active, since = np.ones(len(time), bool), time
         if self.windows:
             begin, end = np.array(self.windows).T
             inside = (time[:, None] >= begin[None]) & (time[:, None] < end[None])
             active = inside.any(axis=1)
             since = np.min(np.where(inside, time[:, None] - begin[None], np.inf), axis=1)
+        if self.targets:
+            active = active & np.isin(target, self.targets)
         found = When(jnp.asarray(time), jnp.asarray(active), jnp.asarray(since))
         if self.episodes is None:
             return found
@@ -145,6 +156,7 @@ def drawn(
     faults: Sequence[Fault],
     on: str,
     time: Float[np.ndarray, " n"],
+    target: Int[np.ndarray, " n"],
     size: int,
     key: PRNGKeyArray | None,
 ) -> tuple[Trouble, ...]:
@@ -154,7 +166,7 @@ def drawn(
         if fault.on != on or key is None:
             continue
         when_key, own = jr.split(jr.fold_in(key, zlib.crc32(fault.name.encode())))
-        when, kind = fault.when(when_key, time), fault.kind
+        when, kind = fault.when(when_key, time, target), fault.kind
         if isinstance(kind, AbstractReadingFault):
             found.append(Trouble(kind, kind.draw(own, when, size)))
         elif isinstance(kind, AbstractTimeFault):

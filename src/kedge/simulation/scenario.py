@@ -178,7 +178,9 @@ class Scenario(eqx.Module):
         if installation is None:
             time = np.round(np.arange(self.steps) * self.dt * SECOND) / SECOND
             size, on = space_of(type(self.rig.vehicle.drive(0.0))).size, CONTROL
+            targets = 1
         else:
             time, on = self.times(installation), installation.name
-            size = installation.sensor.dof()
-        return drawn(self.faults, on, time, size, self.fault_key)
+            size, targets = installation.sensor.dof(), installation.targets or 1
+        target = np.arange(len(time)) % targets
+        return drawn(self.faults, on, time, target, size, self.fault_key)
