@@ -70,7 +70,8 @@ def protobuf():
     for name, own in fields.items():
         message = file.message_type.add(name=name)
         for number, (field, (kind, label, of)) in enumerate(own.items(), 1):
-            message.field.add(name=field, number=number, type=kind, label=label, type_name=of)
+            known = {"type_name": of} if of else {}
+            message.field.add(name=field, number=number, type=kind, label=label, **known)
     pool = DescriptorPool()
     pool.Add(file)
     scan = GetMessageClass(pool.FindMessageTypeByName("uwb.Scan"))

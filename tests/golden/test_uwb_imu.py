@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.consistency import chi_square_interval
 from kedge.evaluation.study_claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
@@ -41,3 +42,13 @@ def test_plain_ranges_are_as_good_as_squared_ones(squared):
     changes = [f'sensors.anchor_{number}.model="ranges"' for number in range(1, 5)]
     plain = execute("uwb-imu", Options(filters="extended", chunk=220, changes=changes))
     assert position(plain) == pytest.approx(position(squared), rel=0.05)
+
+
+def test_an_imu_as_it_is_sold():
+    """One drive: UWB alone, with wheels, two of four anchors without sight, a minute without."""
+    found = execute("uwb-imu-agv", Options(filters="extended", runs=16, chunk=16))
+    assert [band["verdict"] for band in found["expected"]] == [TRUE] * 4
+    scores = found["filters"]["extended"]
+    lower, upper = chi_square_interval(scores["nees_dof"], scores["runs"])
+    assert lower < scores["windows"]["uwb_and_wheels"]["nees"] < upper
+    assert scores["coverage_95"] == pytest.approx(0.95, abs=0.05)

@@ -1,4 +1,4 @@
-"""How fast an inertial solution alone loses its way: closed forms in the densities of its noise."""
+"""How fast an inertial solution alone loses its way: closed forms in its noise and biases."""
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ def test_noise_of_accelerometers_and_of_gyroscopes(key, force, rate):
 
 
 def test_biases_that_nobody_knows():
-    r"""$b t^2 / 2$ of an accelerometer (1 mg: 17.7 m after a minute), $g b t^3 / 6$ of a gyro."""
+    r"""$b t^2 / 2$ of an accelerometer (1 mg: 17.7 m in a minute), $g b t^3 / 6$ of a gyro."""
     count, step = 600, 0.1
 
     def drift(force, rate):

@@ -41,9 +41,9 @@ class ImuModel(NamedTuple):
 
 
 PRESETS: dict[str, ImuModel] = {
-    # InvenSense PS-MPU-6000A rev. 3.4, section 6: 0.005 deg/s/sqrt(Hz), 400 ug/sqrt(Hz). It
-    # states neither instability nor walk, so those are of the usual size in its class; turn-on
-    # is what a coarse calibration leaves of 20 deg/s and 80 mg.
+    # InvenSense PS-MPU-6000A rev. 3.4, section 6: 0.005 deg/s/sqrt(Hz), 400 ug/sqrt(Hz), read
+    # there. It states neither instability nor walk, so those are of the usual size in its
+    # class; turn-on is what a coarse calibration leaves of 20 deg/s and 80 mg.
     "mpu6050": ImuModel(
         gyroscope_noise=0.005 * DEGREE,
         accelerometer_noise=400 * MICRO_G,
@@ -54,7 +54,8 @@ PRESETS: dict[str, ImuModel] = {
         gyroscope_turn_on=0.1 * DEGREE,
         accelerometer_turn_on=0.03,
     ),
-    # Analog Devices ADIS16405 rev. B, table 1.
+    # Analog Devices ADIS16405 rev. B, table 1. Checked against what others quote of it are the
+    # gyroscopes' instability and turn-on; the walks are not from it.
     "adis16405": ImuModel(
         gyroscope_noise=2.0 * DEGREES_PER_ROOT_HOUR,
         accelerometer_noise=0.2 * METRES_PER_SECOND_PER_ROOT_HOUR,
@@ -65,7 +66,8 @@ PRESETS: dict[str, ImuModel] = {
         gyroscope_turn_on=3.0 * DEGREE,
         accelerometer_turn_on=50 * MILLI_G,
     ),
-    # Analog Devices ADIS16465-2 rev. C, table 1; the walks are usual of its class.
+    # Analog Devices ADIS16465-2 rev. C, table 1; the walks are usual of its class. Checked
+    # against its first page are the angular random walk and the accelerometers' instability.
     "adis16465": ImuModel(
         gyroscope_noise=0.15 * DEGREES_PER_ROOT_HOUR,
         accelerometer_noise=0.012 * METRES_PER_SECOND_PER_ROOT_HOUR,
