@@ -45,7 +45,7 @@ def test_plain_ranges_are_as_good_as_squared_ones(squared):
 
 
 def test_an_imu_as_it_is_sold():
-    """One drive: UWB alone, with wheels, two of four anchors without sight, a minute without."""
+    """One drive: UWB alone, with wheels, two of four anchors blocked, a minute without any."""
     found = execute("uwb-imu-agv", Options(filters="extended", runs=16, chunk=16))
     assert [band["verdict"] for band in found["expected"]] == [TRUE] * 4
     scores = found["filters"]["extended"]
