@@ -11,6 +11,9 @@ SHELL := bash
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
+# Golden tests and those on recorded data compute for long: they run as XLA optimises for users.
+FAST := 'not slow and not data and not golden'
+
 # What `make test` installs, and what an editable install builds with.
 EXTRAS  := all,dev
 BACKEND := hatchling editables
@@ -34,12 +37,16 @@ demo: .venv/.studio ## the main job, end to end, on a recorded log: OUT=build/de
 
 .PHONY: test
 test: .venv/.dev ## the fast tests: ARGS='tests/filters -k extended'
-	$(PYTEST) -m 'not slow and not data' $(ARGS)
+	$(PYTEST) -m $(FAST) $(ARGS)
 
 .PHONY: slow
 slow: .venv/.dev ## the slow tests, and those on recorded data (KEDGE_DATA)
 	$(PYTEST) -m 'slow and not data and not golden' $(ARGS)
 	XLA_FLAGS= KEDGE_ENGINE= $(PYTEST) -m 'data or golden' $(ARGS)
+
+.PHONY: slow-list
+slow-list: .venv/.dev ## which of the fast tests take too long to be called fast: tests/slow.txt
+	$(PYTEST) -m $(FAST) --list-slow $(ARGS)
 
 .PHONY: lint
 lint: .venv/.dev ## format, lint, types, layers

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
@@ -61,35 +62,65 @@ settings.register_profile(
 settings.load_profile("kedge")
 
 
-# Filters that take long to compile and share their code with one that does not: what runs over
-# the whole registry is a slow test for them. A filter that is new is not among them.
-DEAR = {
-    "adaptive",
-    "auxiliary",
-    "denkf",
-    "enkf-n",
-    "fix",
-    "fuzzy-noise",
-    "gauss-hermite",
-    "guided",
-    "hypotheses",
-    "interacting",
-    "posterior-linearisation",
-    "serial-enkf",
-}
+# One test, or one file, a line: what takes long although it is not marked. `make slow-list`
+# writes it anew from measured times.
+LISTED = Path(__file__).with_name("slow.txt")
+LONG = {"call": 2.0, "setup": 5.0}  # seconds; what is set up serves several tests
+# Always tried: what a newcomer does first, and one filter of each kind.
+KEPT = (
+    "test_documents.py::test_code_blocks_run[README.md]",
+    "test_documents.py::test_code_blocks_run[docs/how-to/add-a-vehicle.md]",
+    "test_filters.py::test_filter[extended]",
+    "test_filters.py::test_filter[ensemble]",
+    "test_filters.py::test_filter[particle]",
+    "test_commands.py::test_estimate_leaves_what_it_promises",
+    "test_study.py::test_it_prints_scores_beside_what_was_published",
+)
+
+
+def pytest_addoption(parser: pytest.Parser):
+    parser.addoption("--list-slow", action="store_true", help=f"write {LISTED.name}")
+
+
+def pytest_configure(config: pytest.Config):
+    if config.getoption("--list-slow") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Times())
+
+
+class Times:
+    """Notes which tests take long. If setting up takes long, the others of its file would."""
+
+    def __init__(self):
+        self.long: set[str] = set()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport):
+        if report.duration > LONG.get(report.when or "", np.inf) and not report.nodeid.endswith(
+            KEPT
+        ):
+            file = report.nodeid.split("::")[0]
+            self.long.add(file if report.when == "setup" else report.nodeid)
+
+    def pytest_sessionfinish(self):
+        whole = {one for one in self.long if "::" not in one}
+        lines = whole | {one for one in self.long if one.split("::")[0] not in whole}
+        LISTED.write_text("".join(f"{line}\n" for line in sorted(lines)))
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
-def pytest_collection_modifyitems(items: list[pytest.Item]):
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]):
+    listed = set(LISTED.read_text().splitlines() if LISTED.exists() else ())
+    if config.getoption("--list-slow"):
+        listed = set()
     for item in items:
         if isinstance(item, pytest.Function):
             parameters = item.callspec.params if hasattr(item, "callspec") else {}
             if "data" in item.fixturenames and "data" not in parameters:
                 item.add_marker("data")
-            if "golden" in item.path.parts:
-                item.add_marker("golden")
-            if parameters.get("name") in DEAR and {"contracts", "laws"} & set(item.path.parts):
-                item.add_marker("slow")
+        if "golden" in item.path.parts:
+            item.add_marker("golden")
+        names = {item.nodeid, item.nodeid.split("::")[0]}
+        if names & listed and not item.nodeid.endswith(KEPT):
+            item.add_marker("slow")
         if item.get_closest_marker("gpu") and jax.default_backend() != "gpu":
             item.add_marker(pytest.mark.skip(reason="JAX finds no GPU"))
 
