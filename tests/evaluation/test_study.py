@@ -30,6 +30,7 @@ from kedge.evaluation.study_summary import (
 from kedge.filters.dead_reckoning import DeadReckoning
 from kedge.filters.ensemble import EnsembleKalman
 from kedge.filters.kalman import Kalman
+from kedge.numerics.native.machine import is_available
 from kedge.sensors.gnss import Gnss
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
@@ -107,6 +108,24 @@ def test_another_filter_more_runs_or_another_chunk_change_no_number(pooled, resu
     )
     moved = run_study(pooled._replace(seed=4), {name: FILTERS[name]}, 3, chunk=3)
     assert (moved[name].runs.squared != again[name].runs.squared).all()
+
+
+@pytest.mark.skipif(not is_available(), reason="needs the extra native")
+def test_both_engines_score_alike_and_machine_code_does_whatever_the_chunk(
+    pooled, results, monkeypatch
+):
+    monkeypatch.setenv("KEDGE_ENGINE", "native")
+    some, whole = (
+        run_study(pooled, {"kalman": Kalman()}, 5, chunk=chunk)["kalman"] for chunk in (3, 5)
+    )
+    jax.tree.map(np.testing.assert_array_equal, some.example, whole.example)
+    by_xla = results["kalman"]
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11),
+        (some.runs, some.whole, some.sums, some.example),
+        (by_xla.runs, by_xla.whole, by_xla.sums, by_xla.example),
+    )
+    assert any((some.example[k] != v).any() for k, v in by_xla.example.items())
 
 
 def test_chunks_are_the_same_in_any_order_and_after_a_file(pooled, results):

@@ -9,13 +9,29 @@ import typer
 
 from kedge import __version__
 from kedge.apps.console import (
+    Conditions,
     Interrupted,
     ThresholdMissed,
     check_requirements,
+    finish,
     parse_requirements,
-    print_filters,
     print_json,
     require,
+)
+from kedge.apps.options import (
+    Force,
+    Json,
+    Out,
+    Report,
+    Require,
+    Resume,
+    Rig,
+    Seed,
+    Set,
+    SetScenario,
+    Source,
+    Truth,
+    Until,
 )
 from kedge.core.errors import KedgeError
 
@@ -31,38 +47,6 @@ datasets_app = typer.Typer(help="Recorded data sets.", no_args_is_help=True)
 config_app = typer.Typer(help="Configuration files.", no_args_is_help=True)
 app.add_typer(datasets_app, name="datasets")
 app.add_typer(config_app, name="config")
-
-Rig = Annotated[str, typer.Argument(help="A shipped rig's name or a TOML file.")]
-Source = Annotated[
-    str,
-    typer.Argument(
-        metavar="LOG", help="A log folder or a data set; PATH#PART picks a vehicle in it."
-    ),
-]
-Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the summary to standard output.")]
-Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
-Until = Annotated[float | None, typer.Option(help="Use only so many seconds of the log.")]
-Seed = Annotated[int, typer.Option(help="Seed of the filters that draw random numbers.")]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
-]
-SetScenario = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="Change the scenario, e.g. scenario.duration=20."),
-]
-Require = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--require", help="Exit with 3 unless it holds, e.g. 'extended.rmse.position<=0.25'."
-    ),
-]
-
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on with the study that the folder holds.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Replace the study that it holds.")]
-Report = Annotated[bool, typer.Option(help="Draw the report and its figures.")]
 
 
 @app.command("list")
@@ -104,7 +88,7 @@ def estimate(
     names = [name, f"{name}+smoother"] if smooth else [name]
     check_requirements(conditions, names)
     summary = execute(problem, names, out, "estimate", seed, report)
-    _finish(summary, out, conditions, as_json)
+    finish(summary, out, conditions, as_json)
 
 
 @app.command()
@@ -131,7 +115,7 @@ def compare(
     check_requirements(conditions, names)
     problem = load(rig, log, truth, until, set_)
     summary = execute(problem, names, out, "compare", seed, report)
-    _finish(summary, out, conditions, as_json)
+    finish(summary, out, conditions, as_json)
 
 
 @app.command()
@@ -161,13 +145,7 @@ def locate(
     check_requirements(conditions, names)
     options = Options(names, sensor, window, truth, until, set_, report)
     summary = execute(rig, log, out, options)
-    if as_json:
-        print_json(summary)
-    else:
-        print_fixes(summary)
-        shown = "report.html" if (out / "report.html").exists() else "summary.json"
-        print(f"\nresults: {out / shown}")
-    require(summary["filters"], conditions)
+    finish(summary, out, conditions, as_json, print_fixes)
 
 
 @app.command()
@@ -316,7 +294,7 @@ def demo(
     from kedge.apps.workflow import execute
 
     problem = demo_problem(until)
-    _finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json)
+    finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json)
 
 
 @datasets_app.command("list")
@@ -368,37 +346,12 @@ def _root(
         raise typer.Exit
 
 
-def _finish(
-    summary: dict[str, Any],
-    out: Path,
-    conditions: list[tuple[str, str, float]],
-    as_json: bool,
-) -> None:
-    if as_json:
-        print_json(summary)
-    else:
-        print_filters(summary["filters"])
-        shown = "report.html" if (out / "report.html").exists() else "summary.json"
-        print(f"\nresults: {out / shown}")
-    require(summary["filters"], conditions)
-
-
 def _finish_study(
-    summary: dict[str, Any],
-    out: Path | None,
-    conditions: list[tuple[str, str, float]],
-    as_json: bool,
+    summary: dict[str, Any], out: Path | None, conditions: Conditions, as_json: bool
 ) -> None:
     from kedge.apps.study_output import print_study
 
-    if as_json:
-        print_json(summary)
-    else:
-        print_study(summary)
-        if out is not None:
-            shown = "report.html" if (out / "report.html").exists() else "summary.json"
-            print(f"\nresults: {out / shown}")
-    require(summary["filters"], conditions)
+    finish(summary, out, conditions, as_json, print_study)
 
 
 def main() -> None:

@@ -6,10 +6,14 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from kedge.core.errors import ConfigError, KedgeError
 from kedge.core.registry import unknown
+
+Conditions = Sequence[tuple[str, str, float]]
+"""Name of a score, relation, bound."""
 
 
 class ThresholdMissed(KedgeError):
@@ -124,7 +128,7 @@ def parse_requirements(conditions: Sequence[str]) -> list[tuple[str, str, float]
 
 
 def check_requirements(
-    conditions: Sequence[tuple[str, str, float]],
+    conditions: Conditions,
     filters: Sequence[str],
     scores: Sequence[str] | None = None,
 ) -> None:
@@ -143,7 +147,7 @@ def check_requirements(
             raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
 
 
-def require(filters: Mapping[str, Any], conditions: Sequence[tuple[str, str, float]]) -> None:
+def require(filters: Mapping[str, Any], conditions: Conditions) -> None:
     """Check conditions against the scores.
 
     Raises:
@@ -159,3 +163,25 @@ def require(filters: Mapping[str, Any], conditions: Sequence[tuple[str, str, flo
         value = float(scores[name])
         if not (value <= bound if relation == "<=" else value >= bound):
             raise ThresholdMissed(f"{name} is {value:.6g}, required {relation} {bound:g}")
+
+
+def finish(
+    summary: dict[str, Any],
+    out: Path | None,
+    conditions: Conditions,
+    as_json: bool,
+    show: Callable[[dict[str, Any]], None] = lambda summary: print_filters(summary["filters"]),
+) -> None:
+    """Print what a command found and where it is; then see that it is good enough.
+
+    Raises:
+        ThresholdMissed: a condition does not hold.
+    """
+    if as_json:
+        print_json(summary)
+    else:
+        show(summary)
+        if out is not None:
+            shown = "report.html" if (out / "report.html").exists() else "summary.json"
+            print(f"\nresults: {out / shown}")
+    require(summary["filters"], conditions)

@@ -132,6 +132,21 @@ class Many:
         # Waited for, since the memory is used again.
         return jax.block_until_ready(_unpacked(self.compiled, self.keep, runs, raw, passed))
 
+    def raw(self, filter: AbstractFilter, rig: Rig, log: Log, runs: int) -> Estimates:
+        """Estimates as the machine code leaves them, None where ``keep`` does not look.
+
+        See :func:`by_run`. They are overwritten by the thread's next call.
+        """
+        leaves = jax.tree.leaves((filter, rig, log))
+        raw = self.compiled.raw(leaves, log.schedule.time.shape[0], runs)
+        return self.compiled.tree(leaves, raw)[0]
+
+
+def by_run(array: Any, runs: int) -> Any:
+    """Numbers by group of runs, event, place and run within the group, in the order of runs."""
+    moved = jnp.moveaxis(array, -1, 1)
+    return moved.reshape(-1, *moved.shape[2:])[:runs]
+
 
 @eqx.filter_jit
 def _picked(keep: Callable[[Estimates], Any], estimates: Estimates) -> Any:
@@ -145,10 +160,6 @@ def _unpacked(
     """Results run by run, and of each what is kept; one compiled program."""
     kernel = compiled.kernel
 
-    def by_run(array: Any) -> Any:
-        moved = jnp.moveaxis(array, -1, 1)
-        return moved.reshape(-1, *moved.shape[2:])[:runs]
-
     def one(own: list[Any]) -> Any:
         flat: list[Any] = [None] * compiled.results.num_leaves
         for place, value in zip(kernel.passed, passed, strict=True):
@@ -158,7 +169,7 @@ def _unpacked(
         estimates = jax.tree.unflatten(compiled.results, flat)[0]
         return estimates if keep is None else keep(estimates)
 
-    return jax.vmap(one)([by_run(array) for array in raw])
+    return jax.vmap(one)([by_run(array, runs) for array in raw])
 
 
 def native_pass(

@@ -6,13 +6,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
 from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.delayed import Event, State
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Rig
-from kedge.estimation.step import Standing
+from kedge.estimation.step import Outcome, Standing
 from kedge.numerics.native.algebra import TYPES
 from kedge.numerics.native.kernel import prepared
 
@@ -63,8 +64,9 @@ class Program:
     """The compiled step with its memory."""
 
     def __init__(self, compiled: Any, filter: AbstractFilter, rig: Rig, log: Log):
-        self._log, self._compiled = log, compiled
-        kernel = self._kernel = compiled.kernel
+        self._log = log
+        kernel = compiled.kernel
+        self._call = kernel.code.call
         fixed = jax.tree.leaves((filter, rig))
         kinds = [argument.kind for argument in compiled.arguments]
         self._arrays = [
@@ -72,40 +74,62 @@ class Program:
         ] + jax.tree.leaves(log)
         self._carry = kernel.carry(1)
         self._outputs = kernel.fresh(1, 1)
-        self._views = [o.reshape(o.shape[2:-1]) for o in self._outputs]
         self._block = kernel.block(
             [*self._arrays, None], self._outputs, self._carry, 1, 0, 1, anew=False
         )
         self._address = self._block.ctypes.data
         self._controls = jax.tree.leaves(log.controls)
+        self._held: Any = None
+        self._readings = [jax.tree.leaves(readings) for readings in log.readings]
+        # Where each result lies: a view of the memory, or an argument as it came.
+        flat: list[Any] = [None] * compiled.results.num_leaves
+        for place, number in kernel.passed.items():
+            flat[place] = self._arrays[number]
+        for place, output in zip(kernel.places, self._outputs, strict=True):
+            flat[place] = output.reshape(output.shape[2:-1])
+        estimates, self._history, left = compiled.results.children()
+        _, moments, _ = estimates.children()
+        begin = 1 + moments.num_leaves
+        self._mean, _ = moments.children()
+        self._moments = flat[1:begin]
+        self._outcome = flat[begin : estimates.num_leaves]
+        self._past = flat[estimates.num_leaves : -left.num_leaves]
         # What no event changes is not carried: it stays as it was in the standing.
-        first = compiled.results.num_leaves - _left(compiled)
+        first = compiled.results.num_leaves - left.num_leaves
+        self._kinds = kernel.carried
         self._carried = [place - first for place in sorted(kernel.ends, key=kernel.ends.get)]
         self._parts: list[tuple[int, slice, tuple[int, ...], str]] | None = None
+        self._shape: Any = None
 
     def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any]:
         """The event done in the memory, and copies of what it left there."""
         schedule, reading = self._log.schedule, event.reading
         schedule.time[0] = event.time
         schedule.sensor[0] = NO_EVENT if reading is None else event.rank
-        for there, value in zip(self._controls, jax.tree.leaves(state.control), strict=True):
-            there[0] = value
+        if state.control is not self._held:  # else it stands there
+            for there, value in zip(
+                self._controls, jax.tree.leaves(state.control), strict=True
+            ):
+                there[0] = value
+            self._held = state.control
         if reading is not None:
-            place = jax.tree.leaves(self._log.readings[event.rank])
+            place = self._readings[event.rank]
             for there, value in zip(place, jax.tree.leaves(reading), strict=True):
                 there[0] = value
         carry = self._carry[0]
         carry[:] = self._packed(state) if state.words is None else state.words
-        self._kernel.code.call(self._address)
+        self._call(self._address)
         words = carry.copy()
         standing = self._standing(state.standing, words)
         moves = state.moves + (event.time > state.time)
         takes = state.takes + (reading is not None)
         control = state.control if event.control is None else event.control
         after = State(standing, event.time, control, moves, takes, words)
-        found = [view.copy() for view in self._views]
-        estimates, past, _ = self._compiled.tree(self._arrays, found)
-        return after, estimates.moments, estimates.outcome, past
+        *mean, cov = [view.copy() for view in self._moments]
+        moments = Gaussian(self._mean.unflatten(mean), cov)
+        outcome = Outcome(*[view.copy() for view in self._outcome])
+        past = self._history.unflatten([view.copy() for view in self._past])
+        return after, moments, outcome, past
 
     def _packed(self, state: State) -> np.ndarray:
         numbers = [*jax.tree.leaves(state.standing), state.time, state.moves, state.takes]
@@ -118,27 +142,21 @@ class Program:
         return np.concatenate(parts)
 
     def _standing(self, like: Standing, words: np.ndarray) -> Standing:
-        leaves, structure = jax.tree.flatten(like)
         if self._parts is None:
+            leaves, self._shape = jax.tree.flatten(like)
             self._parts, begin = [], 0
             for place in self._carried:
                 if place >= len(leaves):  # not of the standing
                     break
                 shape = np.shape(leaves[place])
                 end = begin + math.prod(shape)
-                kind = self._kernel.carried[begin]
-                self._parts.append((place, slice(begin, end), shape, kind))
+                self._parts.append((place, slice(begin, end), shape, self._kinds[begin]))
                 begin = end
-        numbers = words.view(np.float64)
+        leaves, numbers = self._shape.flatten_up_to(like), words.view(np.float64)
         for place, cut, shape, kind in self._parts:
             found = numbers[cut] if kind == "f8" else words[cut].astype(TYPES[kind])
             leaves[place] = found.reshape(shape)
-        return jax.tree.unflatten(structure, leaves)
-
-
-def _left(compiled: Any) -> int:
-    """How many of the results are what the last event leaves."""
-    return compiled.results.children()[2].num_leaves
+        return self._shape.unflatten(leaves)
 
 
 def _blank(measures: Any, with_cov: bool) -> Readings:

@@ -83,8 +83,11 @@ class Estimator:
         self._key = jax.random.key(0) if key is None else key
         self._filter, self._rig = as_arrays((filter.aboard(rig.names), rig))
         self._width = widest(rig.sensors)
+        # An attribute of a module costs as much as an event.
+        self._names = rig.names
+        self._ranks = {name: rank for rank, name in enumerate(self._names)}
         self._horizon = horizon
-        still = jax.tree.map(jnp.zeros_like, as_arrays(rig.vehicle.drive(0.0)))
+        still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.drive(0.0)))
         held = still if control is None else _floats(control)
         standing = _begin(self._filter, self._rig, self._key)
         self._native = NativeStep(
@@ -100,7 +103,7 @@ class Estimator:
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors of its rig."""
-        return self._rig.names
+        return self._names
 
     @property
     def time(self) -> float:
@@ -128,13 +131,14 @@ class Estimator:
         """
         if not math.isfinite(time):
             raise DataError(f"event time is {time}; expected seconds since the start")
-        rank = len(self._rig.sensors) if control is None else -1
+        rank = len(self._ranks) if control is None else -1
         reading = None
         if sensor is not None:
-            rank = self._rig.index(sensor)
-            seen, spread = _floats((measurement, cov))
+            found = self._ranks.get(sensor)
+            rank = self._rig.index(sensor) if found is None else found
             which: Any = np.asarray(target)
-            reading = Readings(seen, which, spread)
+            spread = None if cov is None else _floats(cov)
+            reading = Readings(_floats(measurement), which, spread)
         held = None if control is None else _floats(control)
         event = Event(float(time), rank, sequence, reading, held)
         if time - self.time > self._horizon:

@@ -24,7 +24,8 @@ from kedge.core.manifolds import space_of
 from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.evaluation.study_measure import Plan, measured
+from kedge.evaluation.study_measure import Plan, given_of, scored
+from kedge.evaluation.study_pass import FilterPass, Rows
 from kedge.evaluation.study_scores import (
     Part,
     Piece,
@@ -143,8 +144,7 @@ class Trials:
         self.chunk, self.say = min(chunk, runs), say
         self.plan = plan_of(study)
         self._scenarios = {name: as_arrays(study.scenario_of(name)) for name in filters}
-        self._programs: dict[str, Any] = {}
-        self._traced: dict[str, tuple[Any, float]] = {}
+        self._passes = {name: self._pass(name) for name in filters}
 
     @property
     def chunks(self) -> range:
@@ -158,20 +158,16 @@ class Trials:
             ContractError: a filter cannot run on the rig.
         """
         index, shapes = jnp.arange(self.chunk), None
-        for name in self.filters:
-            if name in self._programs or name in self._traced:
-                continue
+        for name, own in self._passes.items():
             self.say(f"{name}: checking")
-            begin = time.perf_counter()
             try:
                 if shapes is None or self.study.scenario.each_in_its_loop:
                     shapes = eqx.filter_eval_shape(lambda n=name: self._truths(n, index))
-                blank: Any = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-                given = self._arguments(name, blank[0], blank[1], index, index >= 0)
-                lowered = measured.lower(*given)
+                told = self._scenarios[name], self.plan, *shapes
+                given = eqx.filter_eval_shape(given_of, *told)
+                own.check(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), given))
             except ContractError as error:
                 raise ContractError(f"filter {name!r} cannot run here: {error}") from error
-            self._traced[name] = lowered, time.perf_counter() - begin
 
     def part(self, number: int) -> Part:
         """Simulate the runs of a chunk, and run every filter over each.
@@ -190,17 +186,18 @@ class Trials:
             shown_truth = ({}, {}) if number else _first(self.study.scenario, self.plan, truth)
             first = first or shown_truth
             kept = jnp.arange(self.chunk) < end - begin
-            arguments, compiling = self._arguments(name, truth, means, index, kept), 0.0
-            if name not in self._programs:
+            told = self._scenarios[name], self.plan, truth
+            given, own = jax.block_until_ready(given_of(*told, means)), self._passes[name]
+            compiling = 0.0
+            if not own.is_ready:
                 self.say(f"{name}: compiling")
-                before = time.perf_counter()
-                lowered, tracing = self._traced.pop(name, (None, 0.0))
-                self._programs[name] = (lowered or measured.lower(*arguments)).compile()
-                compiling = tracing + time.perf_counter() - before
+                own.compile(given)
+                compiling = own.compile_seconds
             self.say(f"{name}: {said}")
             before = time.perf_counter()
-            found = jax.block_until_ready(self._programs[name](*arguments))
+            believed = own.over(given, np.asarray(index))
             seconds = time.perf_counter() - before
+            found = scored(*told, believed, kept)
             settled, whole, sums, example = jax.tree.map(np.asarray, found)
             cut = slice(0, end - begin)
             settled, whole = (RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole))
@@ -210,13 +207,13 @@ class Trials:
             )
         return Part(pieces, *(first or ()))
 
-    def _arguments(
-        self, name: str, truth: Any, means: Any, index: Array, kept: Array
-    ) -> tuple[Any, ...]:
-        """Of a filter's program."""
-        filter, scenario = as_arrays(self.filters[name]), self._scenarios[name]
-        key = stream(self.study.seed, f"filter {name}")
-        return filter, scenario, self.plan, truth, means, index, kept, key
+    def _pass(self, name: str) -> FilterPass:
+        """A filter's pass; in a loop of its own by the compiler that steers it."""
+        rig, key = self.study.scenario_of(name).rig, stream(self.study.seed, f"filter {name}")
+        rows = Rows(self.plan.events, self.plan.sensed)
+        engine = "xla" if self.study.scenario.feedback == "filter" else "auto"
+        schedule = self.plan.log.schedule
+        return FilterPass(self.filters[name], rig, schedule, rows, key, engine)
 
     def _truths(self, name: str, index: Int[Array, " runs"]) -> tuple[Simulation, Any]:
         """Simulate runs; if a guidance listens to each filter in turn, to the one named."""

@@ -1,23 +1,20 @@
-"""One filter over a chunk of simulated runs, scored: the traced part of a study."""
+"""What filters are given of simulated runs, and what they made of it, scored."""
 
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
-from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import Space, space_of
 from kedge.core.verdicts import Verdict
-from kedge.estimation.batch import Estimates, pass_over
 from kedge.estimation.log import Log
 from kedge.evaluation.consistency import chi_square_bound
+from kedge.evaluation.study_pass import Believed, Given
 from kedge.evaluation.study_scores import RunScores, TimeSums
-from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS, cholesky, solve_lower
+from kedge.numerics.linalg import UNROLLED_COLUMNS, cholesky, solve_lower
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import Simulation, with_readings
 
@@ -42,45 +39,48 @@ class Plan(NamedTuple):
     """Of all steps."""
 
 
-def _measure(
-    filter: AbstractFilter,
+@eqx.filter_jit
+def given_of(scenario: Scenario, plan: Plan, truth: Simulation, means: Any) -> Given:
+    """The runs as filters are told of them; leading run axis."""
+
+    def one(true: Simulation) -> tuple[Any, Any]:
+        log = with_readings(plan.log, scenario, true)
+        return log.controls, log.readings
+
+    return Given(means, *jax.vmap(one)(truth))
+
+
+@eqx.filter_jit
+def scored(
     scenario: Scenario,
     plan: Plan,
     truth: Simulation,
-    means: Any,
-    index: Int[Array, " runs"],
+    found: Believed,
     kept: Bool[Array, " runs"],
-    key: PRNGKeyArray,
 ) -> tuple[RunScores, RunScores, TimeSums, Any]:
-    """Scores of some runs, their sums by time, and the means of the first.
+    """Scores of some runs, sums by time of those kept, and the means of the first.
 
-    XLA keeps no covariance that no score needs.
+    It knows of no filter, so it is compiled once for all of a study's.
     """
-    prior = scenario.rig.prior
-    states = space_of(type(prior.mean))
+    states = space_of(type(scenario.rig.prior.mean))
     sensors = len(scenario.rig.sensors)
 
-    def one(run: Int[Array, ""], true: Simulation, mean: Any):
-        rig = eqx.tree_at(lambda r: r.prior, scenario.rig, Gaussian(mean, prior.cov))
-        log = with_readings(plan.log, scenario, true)
-        found = pass_over(filter, rig, log, jr.fold_in(key, run), False)[0]
-        moments = found.moments
-        believed = jax.tree.map(lambda leaf: leaf[plan.events], moments.mean)
+    def one(true: Simulation, own: Believed):
         actual = jax.tree.map(lambda leaf: leaf[plan.steps], true.truth)
-        error = jax.vmap(states.boxminus)(actual, believed)
+        error = jax.vmap(states.boxminus)(actual, own.mean)
         nees = jnp.full(len(plan.events), jnp.nan)
-        if states.size <= UNROLLED_COLUMNS:
-            roots = jax.vmap(cholesky)(moments.cov[plan.events])
+        if own.cov is not None:
+            roots = jax.vmap(cholesky)(own.cov)
             nees = jnp.sum(jax.vmap(solve_lower)(roots, error) ** 2, axis=1)
-        tracked = _tracked(scenario, true)
-        nis, dof, fused = _innovations(scenario, plan, found)
-        judged = _Judged(error**2, nees, nis, dof, fused, tracked)
+        nis = jnp.full(len(plan.sensed), jnp.nan) if own.nis is None else own.nis
+        fused = own.verdict == Verdict.FUSED
+        judged = _Judged(error**2, nees, nis, 1.0 * own.dof, fused, _tracked(scenario, true))
         settled = plan.settled, plan.sensed_settled, plan.steps_settled
         late = _scores(states, plan, judged, sensors, *settled)
         whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
-        return late, whole, judged, believed
+        return late, whole, judged
 
-    late, whole, judged, believed = jax.vmap(one)(index, truth, means)
+    late, whole, judged = jax.vmap(one)(truth, found)
     good = kept & jnp.all(jnp.isfinite(whole.squared), axis=1)
     good &= jnp.isfinite(late.time_mean_rms)
 
@@ -97,7 +97,7 @@ def _measure(
         nis_count=added(jnp.ones_like(judged.nis), fused),
         nis_dof=added(judged.dof, fused),
     )
-    return late, whole, sums, jax.tree.map(lambda leaf: leaf[0], believed)
+    return late, whole, sums, jax.tree.map(lambda leaf: leaf[0], found.mean)
 
 
 class _Judged(NamedTuple):
@@ -109,18 +109,6 @@ class _Judged(NamedTuple):
     dof: Float[Array, "*E"]
     fused: Bool[Array, "*E"]
     tracked: Float[Array, "*S w"]
-
-
-def _innovations(
-    scenario: Scenario, plan: Plan, found: Estimates
-) -> tuple[Float[Array, " E"], Float[Array, " E"], Bool[Array, " E"]]:
-    """NIS, degrees of freedom and whether fused; no NIS for large measurements."""
-    outcome = found.outcome
-    fused = outcome.verdict[plan.sensed] == Verdict.FUSED
-    dof = 1.0 * outcome.dof[plan.sensed]
-    if max((s.sensor.dof() for s in scenario.rig.sensors), default=0) > UNROLLED:
-        return jnp.full(len(plan.sensed), jnp.nan), dof, fused
-    return outcome.nis[plan.sensed], dof, fused
 
 
 def _tracked(scenario: Scenario, true: Simulation) -> Float[Array, "S w"]:
@@ -166,7 +154,3 @@ def _scores(
         nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
         tracked=jnp.mean(judged.tracked, axis=0, where=stepped[:, None]),
     )
-
-
-measured: Any = eqx.filter_jit(_measure)
-"""Compiled; what it does and gives is that of ``_measure``."""

@@ -60,7 +60,7 @@ class Piece(NamedTuple):
     """Over all times."""
     sums: TimeSums
     seconds: float = 0.0
-    """Of computing."""
+    """Of the filter's passes; neither of simulating nor of scoring."""
     compile_seconds: float = 0.0
     example: Mapping[str, np.ndarray] = {}
     """The study's first run: fields of the mean at the scored times; empty in other chunks."""
@@ -87,7 +87,7 @@ class Result(NamedTuple):
     """Over all times."""
     sums: TimeSums
     seconds: float
-    """Of computing, without compiling, for all runs; summed over processes."""
+    """Of the filter's passes over all runs, without compiling; summed over processes."""
     compile_seconds: float = 0.0
     example: Mapping[str, np.ndarray] = {}
     track: Mapping[str, np.ndarray] = {}

@@ -1,9 +1,9 @@
 r"""Standard normal draws by counter, several times cheaper than ``jax.random.normal``.
 
 ``jax.random.normal`` turns 64 bits into one number by the inverse error function, and its
-generator is a loop that XLA cannot fuse with what uses the numbers. Here the same generator
-(Threefry-2x32 with 20 rounds) is written out, its two words make two numbers, and all of it is
-arithmetic element by element, which XLA fuses and vectorises.
+generator is a loop that XLA cannot fuse with what turns its words into numbers. Here the same
+generator (Threefry-2x32 with 20 rounds) is written out, its two words make two numbers, and all
+of it is arithmetic element by element, which XLA fuses and vectorises.
 
 Source: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
 SC11, 2011, section 3.3 (Threefry); G. Box, M. Muller, "A note on the generation of random
@@ -45,9 +45,10 @@ def normals(
     first, second = threefry(jr.key_data(key), jnp.full(half, TAG, jnp.uint32), counters)
     kind = jnp.zeros((), dtype).dtype
     radius = jnp.sqrt(-2 * _log_unit(first, kind))
-    # The sine is the cosine a quarter turn before: one expression, so one fused loop.
-    turned = second[None] - jnp.array([[0], [2**30]], jnp.uint32)
-    return (radius[None] * _cosine(turned, kind)).ravel()[:size].reshape(shape)
+    cosine, sine = _turned(second, kind)
+    # Kept as numbers: fused with its use, each half would draw both words and the radius anew.
+    pair = lax.optimization_barrier((radius * cosine, radius * sine))
+    return jnp.concatenate(pair)[:size].reshape(shape)
 
 
 def threefry(key: UInt32[Array, "2"], upper: Words, lower: Words) -> tuple[Words, Words]:
@@ -81,17 +82,20 @@ def _log_unit(word: Words, kind: np.dtype) -> Float[Array, " n"]:
     return exponent.astype(kind) * math.log(2) + t * series
 
 
-def _cosine(word: UInt32[Array, "2 n"], kind: np.dtype) -> Float[Array, "2 n"]:
-    r"""Cosine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn."""
+def _turned(word: Words, kind: np.dtype) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    r"""Cosine and sine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn."""
     quarter = word >> 30
-    rest = (word & jnp.uint32(2**30 - 1)).astype(kind)
+    # Signed, since machines convert those faster.
+    rest = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(kind)
     x = (rest - (2**29 - 0.5)) * (math.pi / 2**31)
     x2 = x * x
     sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(8)], x2)
     cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(8)], x2)
-    value = jnp.where((quarter & 1) == 1, sine, cosine)
-    # Quarters 1 and 2 are those to the left.
-    return jnp.where(((quarter + 1) & 2) == 2, -value, value)
+    odd = (quarter & 1) == 1
+    first, second = jnp.where(odd, sine, cosine), jnp.where(odd, cosine, sine)
+    # Quarters 1 and 2 are those to the left, 2 and 3 those below.
+    left, below = ((quarter + 1) & 2) == 2, (quarter & 2) == 2
+    return jnp.where(left, -first, first), jnp.where(below, -second, second)
 
 
 def _horner(coefficients: list[float], x: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -1,0 +1,38 @@
+"""Arguments and options that several commands have."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Rig = Annotated[str, typer.Argument(help="A shipped rig's name or a TOML file.")]
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="LOG", help="A log folder or a data set; PATH#PART picks a vehicle in it."
+    ),
+]
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary to standard output.")]
+Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
+Until = Annotated[float | None, typer.Option(help="Use only so many seconds of the log.")]
+Seed = Annotated[int, typer.Option(help="Seed of the filters that draw random numbers.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
+]
+SetScenario = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change the scenario, e.g. scenario.duration=20."),
+]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--require", help="Exit with 3 unless it holds, e.g. 'extended.rmse.position<=0.25'."
+    ),
+]
+
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with the study that the folder holds.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace the study that it holds.")]
+Report = Annotated[bool, typer.Option(help="Draw the report and its figures.")]
