@@ -22,6 +22,7 @@ from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import space_of
 from kedge.core.registry import unknown
+from kedge.estimation.compiled import Engine
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.evaluation.study_measure import Plan, given_of, scored
@@ -211,7 +212,7 @@ class Trials:
         """A filter's pass; in a loop of its own by the compiler that steers it."""
         rig, key = self.study.scenario_of(name).rig, stream(self.study.seed, f"filter {name}")
         rows = Rows(self.plan.events, self.plan.sensed)
-        engine = "xla" if self.study.scenario.feedback == "filter" else "auto"
+        engine: Engine = "xla" if self.study.scenario.feedback == "filter" else "auto"
         schedule = self.plan.log.schedule
         return FilterPass(self.filters[name], rig, schedule, rows, key, engine)
 

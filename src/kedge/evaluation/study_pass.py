@@ -67,7 +67,8 @@ class FilterPass:
         engine: Engine = "auto",
     ):
         self._filter, self._rig, self._schedule = as_arrays((filter, rig, schedule))
-        self._rows, self._key, self._engine = rows, key, engine
+        self._rows, self._key = rows, key
+        self._engine: Engine = engine
         self._native: Any = None
         self._lowered: Any = None
         self._program: Any = None
@@ -87,12 +88,15 @@ class FilterPass:
         if self.is_ready or self._native is not None or self._lowered is not None:
             return
         begin = time.perf_counter()
-        one = self._rig, Log(self._schedule, None, ())
-        rig, log = _told(*one, given)
-        own = _told(*jax.tree.map(lambda _: False, one), jax.tree.map(lambda _: True, given))
-        flags = jax.tree.map(lambda _: False, self._filter), *own
-        pick, engine = _Pick(None, *_kept(rig)), self._engine
-        self._native = compiled_pass(self._filter, rig, log, False, engine, pick, flags)
+        bare = Log(self._schedule, None, ())
+        rig, log = _told(self._rig, bare, given)
+        none, all_own = (
+            jax.tree.map(lambda _: False, (self._filter, self._rig, bare)),
+            jax.tree.map(lambda _: True, given),
+        )
+        flags = none[0], *_told(none[1], none[2], all_own)
+        pick = _Pick(None, *_kept(rig))
+        self._native = compiled_pass(self._filter, rig, log, False, self._engine, pick, flags)
         if self._native is None:
             self._lowered = _batch.lower(*self._arguments(given, np.arange(_runs(given))))
         self.compile_seconds += time.perf_counter() - begin
@@ -172,8 +176,7 @@ def _runs(given: Given) -> int:
     return jax.tree.leaves(given)[0].shape[0]
 
 
-@eqx.filter_jit
-def _batch(
+def _many(
     filter: AbstractFilter,
     rig: Rig,
     schedule: Schedule,
@@ -189,6 +192,9 @@ def _batch(
         return pick(pass_over(filter, known, log, jr.fold_in(key, run), False)[0])
 
     return jax.vmap(one)(index, given)
+
+
+_batch: Any = eqx.filter_jit(_many)
 
 
 @eqx.filter_jit
