@@ -16,12 +16,17 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.log import Log
+from kedge.estimation.passage import innermost
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.traced import Estimates, pass_over
+from kedge.filters.cloud import AbstractParticleFilter
+from kedge.filters.ensembles import AbstractEnsembleFilter
 from kedge.numerics.native.kernel import cores
 
 CHUNK = 125
 """Runs batched in one call: enough for the vector units, few enough for the cache."""
+CLOUDS = 16
+"""The same for ensembles and particles, which fill the vector units by themselves."""
 
 
 def estimate_runs(
@@ -30,7 +35,7 @@ def estimate_runs(
     log: Log,
     key: PRNGKeyArray | None = None,
     keep: Callable[[Estimates], Any] = lambda estimates: estimates,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     engine: Engine = "auto",
 ) -> Any:
     """Run ``filter`` over logs that share a schedule; results have a leading run axis.
@@ -49,6 +54,8 @@ def estimate_runs(
     (count,) = counts
     filter, rig, log = as_arrays((filter, rig, log))
     key = jr.key(0) if key is None else key
+    clouds = isinstance(innermost(filter), AbstractEnsembleFilter | AbstractParticleFilter)
+    chunk = chunk or (CLOUDS if clouds else CHUNK)
     begins = range(0, count, chunk)
     shared, own = (
         ft.partial(jax.tree.map, lambda _: False),
