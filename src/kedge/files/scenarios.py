@@ -254,8 +254,9 @@ class ScenarioConfig(AbstractRigConfig):
             if wrong := complaint(spec.build(name), {CONTROL: space_of(control)} | spaces):
                 yield f"faults.{name}.{wrong}"
             if strange := [t for t in spec.targets if t not in self.ids_of(spec.on)]:
-                known = self.ids_of(spec.on) or "no map of targets there"
-                yield f"faults.{name}.targets: found {strange}, expected some of {known}"
+                ids = self.ids_of(spec.on)
+                wanted = f"some of {ids}" if ids else "no targets: that sensor has no map"
+                yield f"faults.{name}.targets: found {strange}, expected {wanted}"
         for name, sensor in self.sensors.items():
             log_keys = ("source", "columns", "target", "ignore_targets", "std", "covariance")
             for key in log_keys:
