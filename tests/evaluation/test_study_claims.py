@@ -50,6 +50,8 @@ def test_conditions_are_read():
     )
     assert parse_term("kalman.all_steps.nis.gnss-1") == Term("kalman", "all_steps.nis.gnss-1")
     assert parse_condition("kalman.nees <= -1.5e-3")[0].right == -0.0015
+    (half,) = parse_condition("kalman.score < 0.5 * twin.score")
+    assert half == Comparison(Term("kalman", "score"), "<", Term("twin", "score"), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -60,6 +62,8 @@ def test_conditions_are_read():
         "kalman.rmse.position=1",
         "kalman.best <= 1",
         "1 <= kalman.nees",
+        "kalman.nees <= much * twin.nees",
+        "kalman.nees <= 2* twin.nees * 3",
         "kalman.nees <= 1 or kalman.nees >= 2",
         "kalman.nees <= __import__('os').getcwd()",
         "kalman.__class__ <= 1",
@@ -81,6 +85,10 @@ def test_nothing_else_is(text):
         ("kalman.score > other:a=1.05.score", FALSE),
         ("twin.score <= kalman.score and twin.score >= kalman.score", TRUE),
         ("kalman.seconds <= twin.seconds", TRUE),
+        ("other:a=1.05.score <= 1.2 * kalman.score", TRUE),
+        ("other:a=1.05.score >= 1.2 * kalman.score", FALSE),
+        ("twin.seconds <= 2 * kalman.seconds", TRUE),
+        ("twin.seconds <= 1.9 * kalman.seconds", FALSE),
         ("kalman.nees <= 3.0", FALSE),
         ("kalman.nees > 3.5 and kalman.nees < 3.9", FALSE),
         ("extended.ratio <= 1.0", OPEN),

@@ -1,7 +1,7 @@
 """Conditions on scores, as scenario files state them: ``ensemble:count=500.ratio >= 1.0``.
 
     condition  = comparison, { " and ", comparison }
-    comparison = term, ("<" | "<=" | ">" | ">="), (term | number)
+    comparison = term, ("<" | "<=" | ">" | ">="), ([number, "*"], term | number)
     term       = filter, ".", score              e.g. kalman.all_steps.rmse.position
 
 Nothing is executed: a condition is read into these tuples, and scores are looked up.
@@ -33,7 +33,7 @@ HEADS = (
 
 _TERM = re.compile(rf"(?P<filter>\S+?)\.(?P<score>(?:{'|'.join(HEADS)})(?:\.[\w.-]+)?)")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_COMPARISON = re.compile(r"\s*(\S+)\s+(<=|>=|<|>)\s+(\S+)\s*")
+_COMPARISON = re.compile(r"\s*(\S+)\s+(<=|>=|<|>)\s+(?:(\S+)\s*\*\s+)?(\S+)\s*")
 
 
 class Term(NamedTuple):
@@ -44,11 +44,12 @@ class Term(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """A score against a number, or against another."""
+    """A score against a number, or against another times a factor."""
 
     left: Term
     relation: str
     right: Term | float
+    factor: float = 1.0
 
 
 def parse_term(text: str) -> Term:
@@ -78,9 +79,11 @@ def parse_condition(text: str) -> tuple[Comparison, ...]:
         if sides is None:
             raise ConfigError(
                 f"found {part.strip()!r}, expected FILTER.SCORE <= NUMBER (or <, >, >=, or "
-                "another FILTER.SCORE), with spaces around the sign"
+                "[NUMBER *] another FILTER.SCORE), with spaces around the signs"
             )
-        left, relation, right = sides.groups()
+        left, relation, factor, right = sides.groups()
+        if factor is not None and not _NUMBER.fullmatch(factor):
+            raise ConfigError(f"found the factor {factor!r}, expected a number")
         bound = float(right) if _NUMBER.fullmatch(right) else parse_term(right)
-        found.append(Comparison(parse_term(left), relation, bound))
+        found.append(Comparison(parse_term(left), relation, bound, float(factor or 1)))
     return tuple(found)

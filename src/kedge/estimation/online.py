@@ -54,6 +54,9 @@ class Estimator:
 
     A control holds from its time on; until the first, ``control`` does, or nothing.
 
+    A sensor of which nothing is fused for longer than its ``allowed_silence`` makes the
+    estimate ``degraded``; it goes on by what the others and the vehicle's motion tell.
+
     Events of the last ``lag`` seconds may come in any order: the estimator goes back to where
     a late one belongs and does again what follows, so the belief is that of the run in which
     all came in time. What is older changes nothing and gets the verdict LATE. A message that
@@ -86,7 +89,11 @@ class Estimator:
         # An attribute of a module costs as much as an event.
         self._names = rig.names
         self._ranks = {name: rank for rank, name in enumerate(self._names)}
-        self._horizon = horizon
+        self._horizon, self._start = horizon, float(start)
+        # By rank: the silence that is allowed, and when the sensor was last heard.
+        silences = {rank: one.allowed_silence for rank, one in enumerate(rig.sensors)}
+        self._allowed = {rank: s for rank, s in silences.items() if s is not None}
+        self._heard = dict.fromkeys(self._allowed, self._start)
         still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.drive(0.0)))
         held = still if control is None else _floats(control)
         standing = _begin(self._filter, self._rig, self._key)
@@ -109,6 +116,15 @@ class Estimator:
     def time(self) -> float:
         """Time of the newest event in s."""
         return self._window.newest.time
+
+    @property
+    def degraded(self) -> tuple[str, ...]:
+        """Sensors of which nothing was fused for longer than their ``allowed_silence``."""
+        return tuple(
+            self._names[rank]
+            for rank, allowed in self._allowed.items()
+            if self.time - self._heard[rank] > allowed
+        )
 
     def push(
         self,
@@ -179,9 +195,17 @@ class Estimator:
             state = entries[-1].after
         # Only now, so that an event that raises has changed nothing.
         self._window.replace(place, entries)
+        self._hear(entries)
         newest = self._window.entries[-1].moments
         moments = _moments(self.belief) if newest is None else newest
         return Answer(moments, entries[0].outcome, len(entries) - 1)
+
+    def _hear(self, entries: list[Entry]) -> None:
+        """Remember when something was last fused of the sensors that must not fall silent."""
+        for event, outcome in ((entry.event, entry.outcome) for entry in entries):
+            heard = event.reading is not None and event.rank in self._allowed
+            if heard and int(outcome.verdict) == Verdict.FUSED:
+                self._heard[event.rank] = max(self._heard[event.rank], event.time)
 
     def _next(self, state: State, event: Event) -> Entry:
         """One event done, from the state before it."""

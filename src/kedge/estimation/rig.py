@@ -36,6 +36,9 @@ class Installation(eqx.Module):
     """s after which a gate that refused everything lets readings in again: see
     :func:`kedge.filters.gated.regain`. Counted together over all sensors that have it."""
 
+    allowed_silence: float | None = eqx.field(static=True, default=None)
+    """s without a reading of it that is fused, after which the estimate counts as degraded."""
+
     def __check_init__(self):
         if self.recovery is not None and self.gate is None:
             raise ContractError(

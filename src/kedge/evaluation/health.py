@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
+from kedge.evaluation.silences import sentences
 
 LARGE = 100  # components; above it the eigenvalues of every event take too long
 
@@ -78,4 +79,4 @@ def concerns(name: str, found: dict[str, Any], verdicts: Int[np.ndarray, " T"]) 
             f"{name}: the gates were opened {found['recoveries']} times after refusing "
             "everything for too long."
         )
-    return said
+    return said + sentences(name, found.get("silences", {}))

@@ -19,6 +19,7 @@ from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.by_target import target_scores
 from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
 from kedge.evaluation.health import health
+from kedge.evaluation.silences import silences
 from kedge.evaluation.trajectory import (
     Trajectory,
     absolute_pose_error,
@@ -156,6 +157,8 @@ def score(
         "sensors": _sensor_scores(estimates, recording, rig, targets or {}),
         "health": health(estimates),
     }
+    if silent := silences(estimates, recording, rig):
+        scores["health"]["silences"] = silent
     errors = None
     if truth is not None:
         truth = in_the_map(truth, track)

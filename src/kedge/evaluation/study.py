@@ -38,6 +38,7 @@ from kedge.evaluation.study_scores import (
 from kedge.simulation.loop import start_near
 from kedge.simulation.scenario import Navigator, Scenario
 from kedge.simulation.simulate import Simulation, schedule, simulate
+from kedge.vehicles.undriven import Undriven
 
 CHUNK = 16
 """Runs in one batch."""
@@ -105,7 +106,9 @@ class Study(NamedTuple):
         if own is None:
             return self.scenario
         told, known = (type(vehicle.drive(0.0)) for vehicle in (rig.vehicle, own))
-        if told is not known:
+        if not known._fields:
+            own = Undriven(own, rig.vehicle)
+        elif told is not known:
             raise ContractError(
                 f"filter {name!r}: its {type(own).__name__} is driven by {known._fields}, but "
                 f"the rig's {type(rig.vehicle).__name__} by {told._fields}"

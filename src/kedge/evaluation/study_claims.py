@@ -85,12 +85,12 @@ def judge_band(score: str, low: float, high: float, evidence: Evidence) -> Judge
 
 
 def _compared(comparison: Comparison, evidence: Evidence) -> Judgement:
-    left, relation, right = comparison
+    left, relation, right, factor = comparison
     first = _value(left, evidence)
     if isinstance(first, str):
         return Judgement(OPEN, first)
     if not isinstance(right, Term):
-        verdict = _decided(first, relation, right)
+        verdict = _decided(first, relation, factor * right)
         return Judgement(verdict, f"{left.filter} {left.score} {_shown(first)}")
     second = _value(right, evidence)
     if isinstance(second, str):
@@ -98,9 +98,12 @@ def _compared(comparison: Comparison, evidence: Evidence) -> Judgement:
     paired = _paired(left, right, evidence)
     if paired is not None:
         figures = f"{left.filter} / {right.filter}: {left.score} ratio {_shown(paired)}"
-        return Judgement(_decided(paired, relation, 1.0), figures)
+        if factor != 1:
+            figures += f", asked for {relation} {factor:g}"
+        return Judgement(_decided(paired, relation, factor), figures)
+    ends = sorted((factor * second.lower, factor * second.upper))
     gap = Interval(
-        first.mean - second.mean, first.lower - second.upper, first.upper - second.lower
+        first.mean - factor * second.mean, first.lower - ends[1], first.upper - ends[0]
     )
     figures = (
         f"{left.filter} {left.score} {_shown(first)}, "

@@ -19,7 +19,14 @@ from kedge.evaluation.study_curves import nis_curve
 from kedge.evaluation.study_lines import featured, series, study_looks
 from kedge.evaluation.study_scores import Result
 from kedge.evaluation.study_summary import curves
-from kedge.evaluation.study_tracks import Seen, Track, plot_component, plot_plan, shown_span
+from kedge.evaluation.study_tracks import (
+    Seen,
+    Track,
+    plot_component,
+    plot_plan,
+    plot_profile,
+    shown_span,
+)
 
 
 class StudyContent(NamedTuple):
@@ -182,6 +189,9 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
         if any(_leaves(path, axes) for path in (where.driven or where.estimates).values()):
             caption += " What strays beyond the view is cut off."
         yield Plate("map", "track", caption, axes.figure)
+        if where.truth.shape[1] == 3 and np.ptp(where.truth[:, 2]) > 0:
+            caption = "The first run from the side: height over the way covered in plan."
+            yield Plate("profile", "track", caption, plot_profile(where).figure)
     shown = 0
     first = content.summary["score"]["of"]
     ordered = sorted(found, key=lambda track: (track.name != first, not track.seen))

@@ -122,7 +122,7 @@ def blank(study: Study) -> Result:
 def compare(
     study: Study, result: Result, other: Result, whole: bool = False
 ) -> dict[str, Interval]:
-    r"""Ratios of one filter's scores to another's over the same runs, by field.
+    r"""Ratios of one filter's scores to another's over the same runs, by field and component.
 
     $\sqrt{\sum_i m_i / \sum_i m'_i}$ with $m_i$, $m'_i$ the mean squared errors of run i; the
     time-mean-rms is a ratio of means. The interval holds the middle 95 % of the ratios over
@@ -133,7 +133,7 @@ def compare(
     and 13.3 (percentile interval).
     """
     good = finite(result) & finite(other)
-    cuts = _states(study).slices()
+    cuts = parts_of(_states(study))
     left, right = (r.whole if whole else r.runs for r in (result, other))
     columns = {}
     for name, cut in cuts.items():
@@ -278,7 +278,7 @@ def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]
     """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
     squared, tracked = (np.asarray(s)[good] for s in (scores.squared, scores.tracked))
     found: dict[str, Any] = _roots(
-        "rmse", {n: squared[:, cut].sum(axis=1) for n, cut in _parts(_states(study)).items()}
+        "rmse", {n: squared[:, cut].sum(axis=1) for n, cut in parts_of(_states(study)).items()}
     )
     if names := _watches(study):
         found |= _roots("tracking", {name: tracked[:, i] for i, name in enumerate(names)})
@@ -331,8 +331,8 @@ def _headline(study: Study) -> str:
     return study.field or ("position" if "position" in fields else fields[0])
 
 
-def _parts(states: Space) -> dict[str, slice]:
-    """Every field, and every component of fields of up to 3 components."""
+def parts_of(states: Space) -> dict[str, slice]:
+    """Every field, every component of fields of up to 3 components, a position in plan."""
     parts = {}
     for name, cut in states.slices().items():
         parts[name] = cut

@@ -7,6 +7,7 @@ from kedge.core.manifolds import Space
 from kedge.evaluation import style
 from kedge.evaluation.study_claims import FALSE, TRUE
 from kedge.evaluation.study_figures import Filters
+from kedge.evaluation.study_summary import parts_of
 from kedge.evaluation.tables import Cell, Column, Table, marked
 
 MARKS = {TRUE: ("✓", "holds"), FALSE: ("✗", "fails")}
@@ -169,6 +170,7 @@ def _times(value: float | None, factor: float | int) -> float | None:
 
 
 def _units(states: Space) -> dict[str, str]:
-    """Of every field and component."""
-    fields = {name: states.units[cut.start] for name, cut in states.slices().items()}
-    return dict(zip(states.labels, states.units, strict=True)) | fields
+    """Of every field and component, and of whatever else has a score."""
+    return {name: states.units[cut.start] for name, cut in parts_of(states).items()} | dict(
+        zip(states.labels, states.units, strict=True)
+    )

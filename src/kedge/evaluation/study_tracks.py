@@ -128,6 +128,33 @@ def plot_plan(track: Track, targets: Mapping[str, Any]) -> Axes:
     return legend(ax, 4, 1.4)
 
 
+@style.styled
+def plot_profile(track: Track) -> Axes:
+    """Draw the first run from the side: height over the way that was covered in plan.
+
+    In closed loops: where each filter's loop led the vehicle.
+    """
+    ax, paths = style.given(None, 3.4), track.driven or track.estimates
+    if not track.driven:
+        ax.plot(_covered(track.truth), track.truth[:, 2], color=style.color("truth"), lw=3.2)
+        ax.lines[-1].set(alpha=0.3, label="truth")
+    found = _drawn(track)
+    for place, line in enumerate(found):
+        path = paths[line.names[0]]
+        # Estimates stand at the way that was really covered, so that heights can be compared.
+        along = _covered(path if track.driven else track.truth)
+        plot_line(ax, line, along, path[:, 2], line.label, False)
+        ax.lines[-1].set_linewidth(_width(place, len(found)))
+    ax.set(xlabel="way covered in plan (m)", ylabel="height, z (m)")
+    return legend(ax, 4, 1.4)
+
+
+def _covered(path: Float[np.ndarray, "K d"]) -> Float[np.ndarray, " K"]:
+    """The length of the path in plan, up to each point."""
+    steps = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)
+    return np.concatenate([np.zeros(1), np.cumsum(steps)])
+
+
 def shown_span(track: Track) -> Track:
     """A truth that swings many times, cut to its last few: else it would be a black band."""
     middle = track.truth[:, 0] - np.median(track.truth[:, 0])

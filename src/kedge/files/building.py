@@ -58,9 +58,8 @@ def build_installation(
     spec = config.sensors[name]
     mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
     robust = spec.robust and Loss(spec.robust.loss, spec.robust.tuning, spec.robust.side)
-    return Installation(
-        name, sensor, spec.rate, spec.latency, spec.gate, mount, robust, spec.recovery
-    )
+    gates = spec.gate, mount, robust, spec.recovery, spec.allowed_silence
+    return Installation(name, sensor, spec.rate, spec.latency, *gates)
 
 
 def build_sensor(

@@ -20,6 +20,7 @@ from kedge.core.registry import sensors, unknown, vehicles
 from kedge.files.bag_config import BagConfig
 from kedge.files.filters import build_filter
 from kedge.files.inertial import Sampling
+from kedge.files.inheritance import completed
 from kedge.files.models import Parameter, build_model, components, model_complaints
 from kedge.files.plugins import load_modules
 from kedge.files.toml import Strict, read_toml
@@ -100,6 +101,7 @@ class SensorConfig(Strict):
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
     robust: RobustConfig | None = None
     recovery: Positive | None = None
+    allowed_silence: Positive | None = None
     mount: MountConfig | None = None
     std: dict[str, str] = {}
     covariance: list[str] | None = None
@@ -319,20 +321,28 @@ def load_config(
 ) -> C:
     """Read a shipped file of a ``kind`` ("rigs", "scenarios") by name, or a file by path.
 
+    It may say only in what it differs from another: see
+    :func:`kedge.files.inheritance.completed`.
+
     Raises:
         UnknownName: none of that name is shipped.
         ConfigError: the file is missing or wrong; one line for each mistake.
     """
     path = Path(name)
+
+    def whole(tree: dict[str, Any], place: Path) -> dict[str, Any]:
+        with resources.as_file(resources.files("kedge").joinpath(kind)) as folder:
+            return completed(tree, place, {n: folder / f"{n}.toml" for n in shipped(kind)})
+
     if path.suffix == ".toml" or len(path.parts) > 1:
         load_modules(path)
-        config = read_toml(path, model, overrides)
+        config = read_toml(path, model, overrides, complete=whole)
     elif name not in shipped(kind):
         raise UnknownName(unknown(kind.removesuffix("s"), name, shipped(kind)))
     else:
         place = resources.files("kedge").joinpath(kind, f"{name}.toml")
         with resources.as_file(place) as path:
-            config = read_toml(path, model, overrides)
+            config = read_toml(path, model, overrides, complete=whole)
     config._origin = str(path)
     return config
 

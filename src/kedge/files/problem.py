@@ -14,7 +14,7 @@ from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, charts_of
 from kedge.core.registry import unknown, vehicles
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
-from kedge.estimation.rig import Rig
+from kedge.estimation.rig import Rig, check_step
 from kedge.files.building import (
     build_installation,
     build_prior,
@@ -155,6 +155,9 @@ def load_problem(
     recording = assemble(
         start, end, control_stamps, controls, list(stamped.values()), config.output.rate
     )
+    longest = float(np.diff(recording.stamps, prepend=start).max()) / SECOND
+    rate = f"output.rate = {config.output.rate:g} Hz"
+    check_step(vehicle, longest, f"{config.origin}: the longest step between events ({rate})")
     return Problem(
         title=raw.title or config.title,
         config=config.model_dump(mode="json", exclude_none=True),

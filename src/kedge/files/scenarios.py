@@ -35,6 +35,7 @@ from kedge.filters.carried import carrying
 from kedge.simulation.faults import CONTROL, complaint
 from kedge.simulation.routes import AbstractRoute, Facing
 from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
+from kedge.vehicles.augmented import sharing_slow
 
 MOST_STEPS = 1e7
 """More steps than this in one run is a wrong dt rather than a long scenario."""
@@ -230,7 +231,8 @@ class ScenarioConfig(AbstractRigConfig):
     scenario: RunsConfig
     world: WorldConfig | None = None
     vehicles: dict[str, VehicleConfig] = {}
-    """The motion models of filters, by name, that have not the rig's."""
+    """The motion models of filters, by name, that have not the rig's; they share its slow
+    states."""
     published: dict[str, PublishedConfig] = {}
     quoted: list[QuotedConfig] = []
     expected: list[ExpectedConfig] = []
@@ -281,7 +283,10 @@ class ScenarioConfig(AbstractRigConfig):
                 yield f"scenario.carried: {what}"
         for name, spec in self.vehicles.items():
             if spec.slow:
-                yield f"vehicles.{name}.slow: only the rig's vehicle has slow states"
+                yield (
+                    f"vehicles.{name}.slow: leave this key out; motion models of filters share "
+                    "the slow states of the rig's vehicle"
+                )
 
 
 class Setting(NamedTuple):
@@ -356,7 +361,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
     if feedback not in FEEDBACKS:
         navigator, feedback = Navigator(about.filter_of(feedback), feedback), "filter"
     own = {
-        name: build_model(vehicles.get(spec.model), spec.parameters)
+        name: sharing_slow(build_model(vehicles.get(spec.model), spec.parameters), vehicle)
         for name, spec in config.vehicles.items()
     }
     try:

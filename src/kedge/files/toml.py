@@ -3,7 +3,7 @@
 import re
 import tomllib
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,8 +37,11 @@ def read_toml(
     model: type[M],
     overrides: Mapping[str, str] | None = None,
     error: type[KedgeError] = ConfigError,
+    complete: Callable[[dict[str, Any], Path], dict[str, Any]] = lambda tree, path: tree,
 ) -> M:
     """Read a file into ``model``; ``overrides`` are values, as TOML, by dotted key.
+
+    ``complete`` adds what the file leaves to others, before the overrides.
 
     Raises:
         error: the file is missing, is no TOML or does not fit the model; the message has one
@@ -55,7 +58,7 @@ def read_toml(
         at = re.search(r"\(at line (\d+), column (\d+)\)", str(failure))
         place = f"{path}:{at[1]}" if at else f"{path}"
         raise error(f"{place}: no readable TOML: {failure}") from failure
-    changed = set()
+    tree, changed = complete(tree, path), set()
     for key, value in (overrides or {}).items():
         changed.add(_set(tree, key, value))
     try:

@@ -127,6 +127,13 @@ def augment(
     return Augmented(vehicle, found, tuple(charts))
 
 
+def sharing_slow(vehicle: AbstractVehicle, other: AbstractVehicle) -> AbstractVehicle:
+    """A vehicle with the slow quantities of another, whether it heeds them or not."""
+    if not isinstance(other, Augmented):
+        return vehicle
+    return Augmented(vehicle, other.slow, other.charts)
+
+
 def _candidates(
     vehicle: AbstractVehicle, sensors: Sequence[AbstractSensor]
 ) -> dict[str, tuple[Chart, Any]]:

@@ -22,7 +22,10 @@ from kedge.core.rotations import exp, multiply, rotate
 
 
 class State(NamedTuple):
+    """Of any rigid body; that of "underwater" too, so that both can be filters of one study."""
+
     position: Position3
+    """East, north, up; of an underwater vehicle's centre of buoyancy."""
     attitude: Attitude
     velocity_body: Velocity3
     """Over ground: forward, left, up."""

@@ -5,6 +5,7 @@ centre of buoyancy.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -220,6 +221,32 @@ def features(
     fins = velocity[0] ** 2 * commands[2:]
     signed = velocity * jnp.abs(velocity)
     return jnp.concatenate([products, signed, down, commands[:2], fins])
+
+
+Features = Callable[
+    [Float[Array, "6"], Float[Array, "3"], Float[Array, "4"]], Float[Array, " f"]
+]
+
+
+def tangent_features(hull: Coefficients) -> Features:
+    r"""What :func:`features` is to first order about straight and level travel at the cruise.
+
+    $\phi(x_0) + \partial\phi / \partial x\,(x - x_0)$ with $u_0 = \sqrt{X_{prop} / -X_{uu}}$.
+
+    Source: T. Prestero, "Verification of a six-degree of freedom simulation model for the
+    REMUS autonomous underwater vehicle", 2001, chapter 8 (linearised vehicle model).
+    """
+    drag = -jnp.asarray(hull.Xuu)
+    speed = jnp.sqrt(jnp.maximum(hull.Xprop / jnp.where(drag > 0, drag, jnp.inf), 0.0))
+    thrust = jnp.zeros(4).at[:2].set(jnp.stack([1.0 * hull.Xprop, 1.0 * hull.Kprop]))
+    about = jnp.zeros(6).at[0].set(speed), jnp.array([0.0, 0.0, 1.0]), thrust
+
+    def form(*given: Array) -> Float[Array, " f"]:
+        apart = tuple(x - at for x, at in zip(given, about, strict=True))
+        value, change = jax.jvp(features, about, apart)
+        return value + change
+
+    return form
 
 
 def conservative(hull: Coefficients) -> Coefficients:

@@ -1,9 +1,10 @@
 """A torpedo-shaped underwater vehicle in six degrees of freedom."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,10 +15,7 @@ from kedge.core.quantities import (
     Acceleration3,
     AccelerationNoise,
     AngularAcceleration3,
-    AngularRate3,
-    Attitude,
     Force,
-    Position3,
     Radians,
     Ratio,
     Scalar,
@@ -28,17 +26,18 @@ from kedge.core.quantities import (
 from kedge.core.registry import unknown, vehicles
 from kedge.core.rotations import conjugate, matrix_of, rotate, spun
 from kedge.numerics.stability import RULES, longest_step
+from kedge.vehicles.body_twist import State as State
 from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import Coefficients, cruise, features, modes, response
+from kedge.vehicles.hydrodynamics import (
+    Coefficients,
+    cruise,
+    features,
+    modes,
+    response,
+    tangent_features,
+)
 
-
-class State(NamedTuple):
-    position: Position3
-    """Of the centre of buoyancy; east, north, up."""
-    attitude: Attitude
-    velocity_body: Velocity3
-    """Over ground, in the body: forward, left, up."""
-    angular_rate: AngularRate3
+P = TypeVar("P")
 
 
 class Control(NamedTuple):
@@ -68,7 +67,9 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     ``coefficients`` names a set that comes with kedge or a TOML file of your own. Fins turn to
     the set's ``fin_limit`` at most; commands beyond it are clipped. ``integrator`` "euler" is
     the rule of much of the literature, and makes the undamped roll grow; "rk4" is of fourth
-    order. ``thrust_scale``, ``drag_scale`` (axial) and ``current`` can be estimated as slow
+    order. With ``linear`` forces and moments are linearised about straight and level travel at
+    the cruise of ``Xprop``, as much of the literature has it; position and attitude follow
+    exactly. ``thrust_scale``, ``drag_scale`` (axial) and ``current`` can be estimated as slow
     quantities.
 
     The REMUS hull is unstable in yaw and pitch without a pilot.
@@ -91,6 +92,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     acceleration_noise: AccelerationNoise = 0.02
     angular_noise: YawAccelerationNoise = 0.02
     integrator: str = eqx.field(static=True, default="rk4")
+    linear: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if self.integrator not in RULES:
@@ -108,7 +110,9 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         return as_coefficients(self.coefficients)
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
-        reply = response(self.hull, self.drag_scale)
+        reply, form = response(self.hull, self.drag_scale), features
+        if self.linear:
+            form = tangent_features(self.hull)
         commands = clipped(self.hull, control, self.thrust_scale)
         shaken = jnp.concatenate(
             [FLIP[:3] * noise.acceleration, FLIP[3:] * noise.angular_acceleration]
@@ -119,7 +123,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
             """Of u to r (forward, starboard, down), the position and the quaternion."""
             velocity, quaternion = x[:6], x[9:]
             turn = matrix_of(quaternion)
-            push = reply @ features(velocity, DOWN * turn[2], commands) + shaken
+            push = reply @ form(velocity, DOWN * turn[2], commands) + shaken
             moved = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
             return jnp.concatenate([push, moved, spun(quaternion, FLIP[3:] * velocity[3:])])
 
@@ -168,18 +172,24 @@ def clipped(
     return jnp.stack([jnp.asarray(part) for part in parts])
 
 
-def integrate(
-    rule: str, rates: Callable[[Array], Array], x: Float[Array, " n"], dt: Scalar
-) -> Float[Array, " n"]:
+def integrate(rule: str, rates: Callable[[P], P], x: P, dt: Scalar) -> P:
     """One step of the classical fourth-order rule, or of Euler's.
+
+    x is an array, or a tuple of them.
 
     Source: E. Hairer, S. Nørsett, G. Wanner, "Solving Ordinary Differential Equations I", 1993,
     section II.1.
     """
+
+    def ahead(slope: P, step: Scalar) -> P:
+        return jax.tree.map(lambda at, by: at + step * by, x, slope)
+
     first = rates(x)
     if rule == "euler":
-        return x + dt * first
-    second = rates(x + dt / 2 * first)
-    third = rates(x + dt / 2 * second)
-    fourth = rates(x + dt * third)
-    return x + dt / 6 * (first + 2 * (second + third) + fourth)
+        return ahead(first, dt)
+    second = rates(ahead(first, dt / 2))
+    third = rates(ahead(second, dt / 2))
+    fourth = rates(ahead(third, dt))
+    slopes = first, second, third, fourth
+    whole = jax.tree.map(lambda a, b, c, d: a + 2 * (b + c) + d, *slopes)
+    return ahead(whole, dt / 6)

@@ -121,16 +121,25 @@ def moved_level(
     """One step; ``push`` gives the accelerations (forward, left, up) at a velocity."""
     shaken = jnp.concatenate([noise.acceleration, noise.angular_acceleration])
 
-    def rates(x: Float[Array, "10"]) -> Float[Array, "10"]:
-        """Of the six velocities, the position and the heading."""
-        velocity, heading = x[:6], x[9]
-        plane = direction(heading) * velocity[0] + direction(heading + jnp.pi / 2) * velocity[1]
-        moved = jnp.array([plane[0], plane[1], velocity[2], velocity[5]])
-        return jnp.concatenate([push(velocity) + shaken, moved])
+    def rates(x: Moving) -> Moving:
+        """Of the six velocities, and of position and heading.
 
-    parts = [*state.velocity_body, *state.angular_rate, *state.position, state.heading]
-    x = integrate(rule, rates, jnp.stack(parts), dt)
-    return State(x[6:9], wrap(x[9]), x[:3], x[3:6])
+        Apart, so that it can be seen in which of them the motion is linear.
+        """
+        velocity, pose = x
+        ahead, left = direction(pose[3]), direction(pose[3] + jnp.pi / 2)
+        plane = ahead * velocity[0] + left * velocity[1]
+        moved = jnp.stack([plane[0], plane[1], velocity[2], velocity[5]])
+        return push(velocity) + shaken, moved
+
+    twist = jnp.concatenate([state.velocity_body, state.angular_rate])
+    pose = jnp.append(state.position, state.heading)
+    velocity, pose = integrate(rule, rates, (twist, pose), dt)
+    return State(pose[:3], wrap(pose[3]), velocity[:3], velocity[3:])
+
+
+Moving = tuple[Float[Array, "6"], Float[Array, "4"]]
+"""Velocities, and position with heading."""
 
 
 def _start() -> State:
