@@ -69,7 +69,7 @@ def test_paths_are_relative_to_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = load_rig_config(path).vehicle.parameters["coefficients"]
     assert as_coefficients(str(found)).values() == hull.values() | {"Zww": -111.0}
-    with pytest.raises(ConfigError, match="hull.toml: cannot be read"):
+    with pytest.raises(ConfigError, match=r"hull\.toml: cannot be read"):
         load_rig_config(path, {"vehicle.parameters.coefficients": '"hull.toml"'})
 
 

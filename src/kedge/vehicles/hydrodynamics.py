@@ -295,20 +295,33 @@ def modes(hull: Coefficients, speed: float) -> Complex[np.ndarray, "8"]:
 
     Of u, v, w, p, q, r and the angles of roll and pitch.
     """
-    matrix = _slopes(hull, jnp.asarray(speed, float))
-    return np.linalg.eigvals(np.asarray(matrix)).astype(complex)
+    return np.linalg.eigvals(linearised(hull, speed)[0]).astype(complex)
+
+
+def linearised(
+    hull: Coefficients, speed: float
+) -> tuple[Float[np.ndarray, "8 8"], Float[np.ndarray, "8 4"]]:
+    r"""A and B of $\delta\dot x = A\,\delta x + B\,\delta u$ about straight and level travel.
+
+    x is u, v, w, p, q, r and the angles of roll and pitch (forward, starboard, down); u is
+    thrust, roll torque, rudder and stern plane, all at 0 there.
+    """
+    A, B = _slopes(hull, jnp.asarray(speed, float))
+    return np.asarray(A), np.asarray(B)
 
 
 @jax.jit
-def _slopes(hull: Coefficients, speed: Scalar) -> Float[Array, "8 8"]:
+def _slopes(
+    hull: Coefficients, speed: Scalar
+) -> tuple[Float[Array, "8 8"], Float[Array, "8 4"]]:
     reply = response(hull)
 
-    def rates(x: Float[Array, "8"]) -> Float[Array, "8"]:
+    def rates(x: Float[Array, "8"], commands: Float[Array, "4"]) -> Float[Array, "8"]:
         roll, pitch = x[6], x[7]
         upright = jnp.cos(pitch)
         down = jnp.stack([-jnp.sin(pitch), upright * jnp.sin(roll), upright * jnp.cos(roll)])
         turning = x[3:5] * jnp.stack([1.0, jnp.cos(roll)])
         turning = turning + x[5] * jnp.stack([jnp.tan(pitch), -jnp.sin(roll)])
-        return jnp.concatenate([reply @ features(x[:6], down, jnp.zeros(4)), turning])
+        return jnp.concatenate([reply @ features(x[:6], down, commands), turning])
 
-    return jax.jacfwd(rates)(jnp.zeros(8).at[0].set(speed))
+    return jax.jacfwd(rates, (0, 1))(jnp.zeros(8).at[0].set(speed), jnp.zeros(4))
