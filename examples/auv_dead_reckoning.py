@@ -12,12 +12,15 @@ end of dead reckoning from the Doppler log with the reference's attitude:
 """
 
 import argparse
+import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from kedge import estimate, make_filter, score
 from kedge.apps.workflow import use_compilation_cache
-from kedge.estimation.log import Truth
+from kedge.estimation.log import Truth, alike
+from kedge.estimation.rig import Rig
 from kedge.evaluation.doppler_calibration import Calibration, calibrate, typical
 from kedge.evaluation.score import Run
 from kedge.files.problem import load_problem
@@ -43,14 +46,27 @@ def calibration(log: str, until: float = np.inf) -> Calibration:
     return calibrate(dvl.stamps / 1e9, velocity, Truth(table.stamps[chosen] / 1e9, fields))
 
 
-def reckoned(rig: str, log: str, found: Calibration | None = None) -> tuple[Run, Truth]:
-    """Dead reckoning over a run."""
-    overrides = {"output.rate": "1.0"} | ({} if found is None else found.overrides("dvl"))
-    problem = load_problem(rig, log, until=END, overrides=overrides)
-    assert problem.truth is not None
-    estimates = estimate(make_filter("extended"), problem.rig, problem.recording.log)
-    run = score("extended", estimates, problem.recording, problem.rig, problem.truth)
-    return run, problem.truth
+def reckoned(
+    rig: str, logs: Sequence[str], found: Sequence[Calibration | None]
+) -> list[tuple[Run, Truth]]:
+    """Dead reckoning over runs, each with what is known of its Doppler log.
+
+    The runs are made alike, so that one compiled program does for all of them.
+    """
+    problems = []
+    for log, known in zip(logs, found, strict=True):
+        overrides = {"output.rate": "1.0"} | ({} if known is None else known.overrides("dvl"))
+        problems.append(load_problem(rig, log, until=END, overrides=overrides))
+    recordings, runs = alike([problem.recording for problem in problems]), []
+    for problem, recording in zip(problems, recordings, strict=True):
+        assert problem.truth is not None
+        # The log is built: latencies have done their work, and differ from run to run.
+        sensors = tuple(dataclasses.replace(s, latency=0.0) for s in problem.rig.sensors)
+        same = Rig(problem.rig.vehicle, sensors, problem.rig.prior)
+        estimates = estimate(make_filter("extended"), same, recording.log)
+        run = score("extended", estimates, recording, same, problem.truth)
+        runs.append((run, problem.truth))
+    return runs
 
 
 def drift(run: Run, truth: Truth, since: float) -> float:
@@ -87,17 +103,24 @@ def main() -> None:
             f"{name:4s} {found.scale:.4f}  {turned}  {arm}  {found.lag:6.3f}  {found.std:.4f}"
         )
     print(f"\n{'run':6s}{'m':>7s}{'reference':>11s}{'raw':>8s}{'others':>8s}{'first':>8s}")
+    places, calibrated = list(logs.values()), "auv_akit_snapir"
+    others = [[c for other, c in own.items() if other != name] or [own[name]] for name in logs]
+    first = [calibration(log, options.first) for log in places]
+    found = zip(
+        reckoned("auv_akit_snapir-plain", places, [None] * len(places)),
+        reckoned(calibrated, places, [typical(some) for some in others]),
+        reckoned(calibrated, places, first),
+        strict=True,
+    )
     rows = []
-    for name, log in logs.items():
-        raw, truth = reckoned("auv_akit_snapir-plain", log)
-        others = [found for other, found in own.items() if other != name]
-        calibrated, _ = reckoned("auv_akit_snapir", log, typical(others or [own[name]]))
-        begun, _ = reckoned("auv_akit_snapir", log, calibration(log, options.first))
+    for (name, log), ((raw, truth), (known, _), (begun, _)) in zip(
+        logs.items(), found, strict=True
+    ):
         rows.append(
             (
                 disagreement(log),
                 100 * raw.scores["final_error_of_distance"],
-                100 * calibrated.scores["final_error_of_distance"],
+                100 * known.scores["final_error_of_distance"],
                 drift(begun, truth, options.first),
             )
         )

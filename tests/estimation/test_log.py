@@ -2,11 +2,12 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pytest
 
 from kedge.core.errors import DataError
-from kedge.estimation.log import SECOND, Readings, Stamped, assemble
+from kedge.estimation.log import SECOND, Readings, Stamped, alike, assemble
 
 
 class Control(NamedTuple):
@@ -110,3 +111,30 @@ def test_a_log_that_ends_before_it_starts_is_refused(end):
 def test_a_log_in_which_nothing_happens_is_refused():
     with pytest.raises(DataError, match="no control, reading or output time lies inside it"):
         merged(stamps=(-5,), sources=((-10, 500),))
+
+
+def test_logs_made_alike_end_with_nothing():
+    """Shapes are one; events and readings are those of before, then nothing happens."""
+    short, long = merged(), merged(sources=((10, 30, 50, 60), (30,)))
+    both = alike([short, long])
+    shapes = [[np.shape(leaf) for leaf in jax.tree.leaves(one.log)] for one in both]
+    assert shapes[0] == shapes[1]
+    for before, after in zip((short, long), both, strict=True):
+        count = len(before.stamps)
+        for old, new in zip(before.log.schedule, after.log.schedule, strict=True):
+            np.testing.assert_array_equal(new[:count], old)
+        assert (
+            np.asarray(after.log.schedule.time[count:]) == before.log.schedule.time[-1]
+        ).all()
+        assert (np.asarray(after.log.schedule.sensor[count:]) == -1).all()
+        for old, new in zip(before.log.readings, after.log.readings, strict=True):
+            kept = new.measurement.position[: len(old.target)]
+            np.testing.assert_array_equal(kept, old.measurement.position)
+        np.testing.assert_array_equal(after.outputs, before.outputs)
+
+
+def test_logs_that_cannot_be_made_alike():
+    with pytest.raises(DataError, match="expected one rig's logs"):
+        alike([merged(), merged(sources=((10,),))])
+    with pytest.raises(DataError, match="expected none to be empty"):
+        alike([merged(), merged(sources=((10,), ()))])

@@ -17,17 +17,15 @@ def test_calibration_on_other_runs_takes_half_of_the_error(data, monkeypatch):
     logs = [f"{data}/auv_akit_snapir#{run}" for run in (2, 3, 7)]
     own = [example.calibration(log) for log in logs]
     np.testing.assert_allclose([c.arm[0] for c in own], -1.83, atol=0.05)
-    raw, calibrated, inside = [], [], {"raw": [], "calibrated": []}
-    for number, log in enumerate(logs):
-        others = example.typical(own[:number] + own[number + 1 :])
-        for rig, found, shares in (
-            ("auv_akit_snapir-plain", None, raw),
-            ("auv_akit_snapir", others, calibrated),
-        ):
-            run, _ = example.reckoned(rig, log, found)
-            shares.append(run.scores["final_error_of_distance"])
-            name = "calibrated" if found else "raw"
-            inside[name].append(run.scores["coverage_95"]["position"])
+    others = [example.typical(own[:n] + own[n + 1 :]) for n in range(len(logs))]
+    raw, calibrated, inside = [], [], {}
+    for name, rig, found, shares in (
+        ("raw", "auv_akit_snapir-plain", [None] * len(logs), raw),
+        ("calibrated", "auv_akit_snapir", others, calibrated),
+    ):
+        runs = [run.scores for run, _ in example.reckoned(rig, logs, found)]
+        shares += [scores["final_error_of_distance"] for scores in runs]
+        inside[name] = [scores["coverage_95"]["position"] for scores in runs]
 
     assert 0.0025 < np.median(raw) < 0.004
     assert np.median(calibrated) < 0.003

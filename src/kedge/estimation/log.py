@@ -146,3 +146,43 @@ def without_repeats(source: Stamped) -> Readings:
     repeated[first] = False
     target = np.where(repeated, REPEATED, np.asarray(source.readings.target))
     return source.readings._replace(target=target)
+
+
+def alike(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings of one rig, with as many events and readings each: one program fits all.
+
+    The shorter ones end with events at which nothing happens, and with readings that no event
+    takes up.
+
+    Raises:
+        DataError: they are not of one rig, or a sensor read nothing in one and something in
+            another.
+    """
+    shapes = [[len(r.target) for r in one.log.readings] for one in recordings]
+    if len({len(shape) for shape in shapes}) > 1:
+        raise DataError(f"alike: found {shapes} readings by sensor, expected one rig's logs")
+    most = np.max(shapes, axis=0)
+    if any(not have and need for one in shapes for have, need in zip(one, most, strict=True)):
+        raise DataError(f"alike: found {shapes} readings by sensor, expected none to be empty")
+    events = max(len(one.stamps) for one in recordings)
+
+    def longer(leaf: Any, size: int) -> Array:
+        leaf = jnp.asarray(leaf)
+        return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], size - len(leaf), axis=0)])
+
+    found = []
+    for one in recordings:
+        time, sensor, row = one.log.schedule
+        idle = jnp.full(events - len(sensor), -1, jnp.asarray(sensor).dtype)
+        schedule = Schedule(
+            longer(time, events),
+            jnp.concatenate([jnp.asarray(sensor), idle]),
+            longer(row, events),
+        )
+        controls = jax.tree.map(lambda leaf: longer(leaf, events), one.log.controls)
+        readings = tuple(
+            jax.tree.map(lambda leaf, n=n: longer(leaf, n), part)
+            for part, n in zip(one.log.readings, most, strict=True)
+        )
+        found.append(one._replace(log=Log(schedule, controls, readings)))
+    return found
