@@ -181,7 +181,7 @@ def alike(recordings: Sequence[Recording]) -> list[Recording]:
         )
         controls = jax.tree.map(lambda leaf: longer(leaf, events), one.log.controls)
         readings = tuple(
-            jax.tree.map(lambda leaf, n=n: longer(leaf, n), part)
+            jax.tree.map(lambda leaf, n=int(n): longer(leaf, n), part)
             for part, n in zip(one.log.readings, most, strict=True)
         )
         found.append(one._replace(log=Log(schedule, controls, readings)))
