@@ -19,8 +19,8 @@ from kedge.sensors.tracking_error import TrackingError
 from kedge.simulation.lane_keeping import LaneKeeping
 from kedge.simulation.scenario import Navigator, Scenario
 from kedge.simulation.simulate import simulate
-from kedge.vehicles.constant_velocity import ConstantVelocity
 from kedge.vehicles.lateral_tracking import LateralTracking, LinearLateralTracking
+from kedge.vehicles.unicycle import Unicycle
 
 CAR = LateralTracking()
 PRIOR = Gaussian(CAR.start(), jnp.diag(jnp.array([0.1, 0.05, 0.5, 0.02, 0.5]) ** 2))
@@ -92,6 +92,6 @@ def test_all_filters_in_the_loop_of_one(own):
 
 
 def test_a_motion_model_of_another_kind_is_refused():
-    other = Study(SCENARIO, vehicles={"kalman": ConstantVelocity()})
-    with pytest.raises(ContractError, match="'kalman': its ConstantVelocity is driven by"):
+    other = Study(SCENARIO, vehicles={"kalman": Unicycle()})
+    with pytest.raises(ContractError, match="'kalman': its Unicycle is driven by"):
         run_study(other, {"kalman": Kalman()}, 1)
