@@ -71,12 +71,18 @@ def test_nees_is_within_its_bounds(runs, place):
 
 
 def test_position_after_an_outage_is_within_three_sigma(runs):
-    """At the end of it, axis by axis, in at least 99 % of the runs; it did grow uncertain."""
+    """At the end of it, axis by axis, in at least 99 % of the runs.
+
+    Not because nothing happened: in the median run the uncertainty grew tenfold. How much it
+    grows in one run depends on how that vehicle turned.
+    """
     error, cov = runs
     std = np.sqrt(np.diagonal(cov, axis1=2, axis2=3))[..., :3]
     inside = np.abs(error[:, 1, :3]) <= 3 * std[:, 1]
     assert (inside.mean(axis=0) >= 0.99).all()
-    assert (std[:, 1, :2] > 10 * std[:, 0, :2]).all()
+    growth = std[:, 1, :2] / std[:, 0, :2]
+    assert growth.min() > 1
+    assert np.median(growth) > 10
 
 
 def test_nothing_jumps_when_the_bottom_is_back(runs):
