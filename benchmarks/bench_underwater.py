@@ -70,7 +70,7 @@ def test_one_log_against_real_time(scenario, times):
         controls=jax.tree.map(lambda leaf: leaf[0], log.controls),
         readings=jax.tree.map(lambda leaf: leaf[0], log.readings),
     )
-    filter = kedge.make_filter(f"ensemble:count={MEMBERS}")
+    filter = kedge.make_filter("ensemble", count=MEMBERS)
     call = compile_estimate(filter, scenario.rig, one, keep=False)
     _, core = core_seconds(lambda: jax.block_until_ready(call()), 3)
     row = "6-DOF, ensemble of 100, steps of 10 ms, one core"
@@ -79,7 +79,7 @@ def test_one_log_against_real_time(scenario, times):
 
 def test_fifty_runs(scenario, times):
     log = logs(scenario, RUNS)
-    filter = kedge.make_filter(f"ensemble:count={MEMBERS}")
+    filter = kedge.make_filter("ensemble", count=MEMBERS)
 
     def call():
         return estimate_runs(
