@@ -26,16 +26,6 @@ AIM = 50.0
 """Times faster than real time, on one core."""
 
 
-def core_seconds(call, repeats):
-    """What a call returns, and the least time that all threads together spent on it."""
-    least = float("inf")
-    for _ in range(repeats):
-        before = time.process_time()
-        found = call()
-        least = min(least, time.process_time() - before)
-    return found, least
-
-
 @pytest.fixture(scope="module")
 def scenario():
     """On the vehicle's own drive: what a filter costs does not depend on the way."""
@@ -65,14 +55,14 @@ def logs(scenario, runs):
 
 
 def test_one_log_against_real_time(scenario, times):
-    log = jax.tree.map(lambda leaf: leaf, logs(scenario, 1))
+    log = logs(scenario, 1)
     one = log._replace(
         controls=jax.tree.map(lambda leaf: leaf[0], log.controls),
         readings=jax.tree.map(lambda leaf: leaf[0], log.readings),
     )
     filter = kedge.make_filter("ensemble", count=MEMBERS)
     call = compile_estimate(filter, scenario.rig, one, keep=False)
-    _, core = core_seconds(lambda: jax.block_until_ready(call()), 3)
+    _, core = times.best(lambda: jax.block_until_ready(call()), 3, time.process_time)
     row = "6-DOF, ensemble of 100, steps of 10 ms, one core"
     times.row(row, "real time", DT, core * DT / SECONDS, AIM)
 
@@ -170,8 +160,8 @@ def test_the_dynamics_against_numpy(times):
 
     given = jnp.asarray(white)
     found = jax.block_until_ready(ours(given))
-    theirs, slow = core_seconds(rival, 3)
-    _, quick = core_seconds(lambda: jax.block_until_ready(ours(given)), 3)
+    theirs, slow = times.best(rival, 3, time.process_time)
+    _, quick = times.best(lambda: jax.block_until_ready(ours(given)), 3, time.process_time)
     np.testing.assert_allclose(found.position, theirs[6:9].T, atol=1e-9)
     np.testing.assert_allclose(found.velocity_body, FLIP[:3] * theirs[:3].T, atol=1e-9)
     row = "6-DOF dynamics, step of 100 members, one core"
@@ -212,7 +202,7 @@ def test_the_velocities_jacobian(times):
     found = jax.vmap(lambda v: exact_slope(reply, v, commands))(points)
     np.testing.assert_allclose(found, jax.vmap(automatic)(points), atol=1e-12)
     jax.block_until_ready((exact(points), by_rule(points)))
-    _, slow = core_seconds(lambda: jax.block_until_ready(by_rule(points)), 5)
-    _, quick = core_seconds(lambda: jax.block_until_ready(exact(points)), 5)
+    _, slow = times.best(lambda: jax.block_until_ready(by_rule(points)), 5, time.process_time)
+    _, quick = times.best(lambda: jax.block_until_ready(exact(points)), 5, time.process_time)
     row, each = "6-DOF velocities, exact Jacobian", count * repeats
     times.row(row, "automatic differentiation", slow / each, quick / each)

@@ -17,13 +17,13 @@ class Times:
     def __init__(self):
         self.rows, self.notes = [], []
 
-    def best(self, call, repeats):
+    def best(self, call, repeats, clock=time.perf_counter):
         """What the call returns, and its shortest time in s."""
         shortest = float("inf")
         for _ in range(repeats):
-            before = time.perf_counter()
+            before = clock()
             found = call()
-            shortest = min(shortest, time.perf_counter() - before)
+            shortest = min(shortest, clock() - before)
         return found, shortest
 
     def row(self, what, rival, theirs, ours, at_least=None):
@@ -80,11 +80,18 @@ def pytest_terminal_summary(terminalreporter):
     if not (COLLECTED.rows or COLLECTED.notes):
         return
     write = terminalreporter.write_line
-    write(f"{'':28s} {'rival':>10s} {'us/event':>10s} {'kedge':>10s} {'ratio':>8s} {'aim':>6s}")
+    wide, rival = (
+        max([least, *(len(row[key]) for row in COLLECTED.rows)])
+        for key, least in (("what", 28), ("rival", 10))
+    )
+    write(
+        f"{'':{wide}s} {'rival':>{rival}s} {'us/event':>10s} {'kedge':>10s} {'ratio':>8s} "
+        f"{'aim':>6s}"
+    )
     for row in COLLECTED.rows:
         write(
-            f"{row['what']:28s} {row['rival']:>10s} {row['rival_us']:10.2f} "
-            f"{row['kedge_us']:10.3f} {row['ratio']:7.1f}x {row['aim'] or 0:5d}x"
+            f"{row['what']:{wide}s} {row['rival']:>{rival}s} {row['rival_us']:10.2f} "
+            f"{row['kedge_us']:10.3f} {row['ratio']:7.1f}x {row['aim'] or 0:5g}x"
         )
     for note in COLLECTED.notes:
         write(note)
