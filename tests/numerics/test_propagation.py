@@ -31,7 +31,7 @@ POLAR = np.diag([0.02**2, np.deg2rad(15) ** 2])
 
 
 def moments(strategy):
-    """Mean, covariance and cross-covariance; the remainder is a function and stays inside."""
+    """Mean, covariance and cross-covariance; the posterior is a function and stays inside."""
     return quick_jit(lambda cov: strategy.image(to_cartesian, cov)[:3])(POLAR)
 
 
@@ -81,7 +81,7 @@ def test_moments_of_a_linear_function_are_exact(strategy):
     def images(cov, std):
         moved = strategy.image(lambda e, w: Place(slope @ e + effect @ w), cov, std)
         seen = strategy.image(lambda e: Place(slope @ e), cov)
-        return moved[:3], seen[:3], seen.remainder(jnp.asarray(K))
+        return moved[:3], seen[:3], seen.posterior(jnp.asarray(K), jnp.zeros((len(K[0]),) * 2))
 
     (mean, after, cross), seen, rest = images(cov, std)
     np.testing.assert_allclose(mean.position, 0, atol=1e-15)

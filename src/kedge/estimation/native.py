@@ -17,13 +17,14 @@ from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates, whole_pass
 from kedge.numerics.native.graph import Unsupported
-from kedge.numerics.native.kernel import Kernel, prepared
+from kedge.numerics.native.kernel import Kernel, cores, prepared
 from kedge.numerics.native.program import Argument, build
 from kedge.numerics.native.values import kind_of
 
 ROWS = 2
 """In place of however many events or readings there are, while the program is traced."""
-
+MOST_BYTES = 2**26
+"""Of results that lie in memory as the machine code leaves them, before they are ordered."""
 
 Keep = Callable[[Estimates], Any] | None
 Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], int, bool]
@@ -123,6 +124,12 @@ class Many:
     def __init__(self, compiled: NativePass, keep: Keep):
         self.compiled, self.keep = compiled, keep
 
+    def most_runs(self, log: Log) -> int:
+        """How many runs one call takes at most, in whole registers."""
+        kernel = self.compiled.kernel
+        fit = MOST_BYTES // max(kernel.size(log.schedule.time.shape[0]), 1)
+        return max(fit // kernel.lanes, cores()) * kernel.lanes
+
     def over(self, filter: AbstractFilter, rig: Rig, log: Log, runs: int) -> Any:
         """What ``keep`` picks of each run, with a leading axis of runs."""
         leaves = jax.tree.leaves((filter, rig, log))
@@ -192,7 +199,10 @@ def native_pass(
             shape = (min(shape[0], ROWS), *shape[1:])
         shapes.append((shape, str(leaf.dtype)))
     form = structure, tuple(shapes), of_log, history
-    wanted = None if keep is None else _wanted(_traced(form), keep)
+    try:
+        wanted = None if keep is None else _wanted(form, keep)
+    except TypeError:  # it holds arrays, so that it cannot be looked up
+        wanted = _wanted.__wrapped__(form, keep)
     compiled = _compiled(form, flags, wanted)
     return One(compiled, keep, history) if flags is None else Many(compiled, keep)
 
@@ -223,9 +233,10 @@ def _compiled(
     return NativePass(_traced(form), flags, wanted)
 
 
-def _wanted(traced: Traced, keep: Callable[[Estimates], Any]) -> frozenset[int]:
+@ft.lru_cache(maxsize=64)
+def _wanted(form: Form, keep: Callable[[Estimates], Any]) -> frozenset[int]:
     """Numbers of the results that ``keep`` looks at."""
-    jaxpr = jax.make_jaxpr(lambda both: keep(both[0]))(traced.results).jaxpr
+    jaxpr = jax.make_jaxpr(lambda both: keep(both[0]))(_traced(form).results).jaxpr
     live = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}
     for equation in reversed(jaxpr.eqns):
         if live.intersection(equation.outvars):

@@ -52,11 +52,7 @@ def estimate_runs(
     if len(counts) != 1 or 0 in counts:
         raise DataError(f"runs: found {sorted(counts)} of them, expected one number above 0")
     (count,) = counts
-    filter, rig, log = as_arrays((filter, rig, log))
-    key = jr.key(0) if key is None else key
-    clouds = isinstance(innermost(filter), AbstractEnsembleFilter | AbstractParticleFilter)
-    chunk = chunk or (CLOUDS if clouds else CHUNK)
-    begins = range(0, count, chunk)
+    filter, rig = as_arrays((filter, rig))
     shared, own = (
         ft.partial(jax.tree.map, lambda _: False),
         ft.partial(jax.tree.map, lambda _: True),
@@ -66,24 +62,39 @@ def estimate_runs(
         Log(shared(log.schedule), own(log.controls), own(log.readings)),
     )
     native = compiled_pass(filter, rig, log, False, engine, keep, flags)
-
-    if native is not None:  # which reads plain memory: parts of it need no copy
+    if native is not None:
+        # It reads plain memory, so that parts need no copy, and uses all cores by itself.
         log = jax.tree.map(np.asarray, log)
+        step = chunk or native.most_runs(log)
+        return _joined([
+            native.over(filter, rig, _part(log, begin, step), min(step, count - begin))
+            for begin in range(0, count, step)
+        ])  # fmt: skip
+    log = as_arrays(log)
+    clouds = isinstance(innermost(filter), AbstractEnsembleFilter | AbstractParticleFilter)
+    step = chunk or (CLOUDS if clouds else CHUNK)
+    key = jr.key(0) if key is None else key
 
     def part(begin: int) -> Any:
-        index = jnp.arange(begin, min(begin + chunk, count))
-        own = jax.tree.map(
-            lambda leaf: leaf[begin : begin + chunk], (log.controls, log.readings)
-        )
-        some = Log(log.schedule, *own)
-        if native is not None:
-            return jax.block_until_ready(native.over(filter, rig, some, len(index)))
+        index = jnp.arange(begin, min(begin + step, count))
+        some = _part(log, begin, step)
         return jax.block_until_ready(_some(filter, rig, some, index, key, keep))
 
     # The first call compiles; then the compiled program runs outside Python's lock.
     parts = [part(0)]
     with ThreadPoolExecutor(cores()) as pool:
-        parts += pool.map(part, begins[1:])
+        parts += pool.map(part, range(step, count, step))
+    return _joined(parts)
+
+
+def _part(log: Log, begin: int, step: int) -> Log:
+    own = jax.tree.map(lambda leaf: leaf[begin : begin + step], (log.controls, log.readings))
+    return Log(log.schedule, *own)
+
+
+def _joined(parts: list[Any]) -> Any:
+    if len(parts) == 1:
+        return parts[0]
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 

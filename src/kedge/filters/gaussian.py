@@ -22,7 +22,7 @@ from kedge.core.contracts import (
 from kedge.core.manifolds import Circle, Euclidean, space
 from kedge.core.quantities import Scalar
 from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, gain, symmetric
+from kedge.numerics.linalg import cholesky, gain, mirrored
 from kedge.numerics.noise import process_std
 from kedge.numerics.propagation import AbstractPropagation, Function
 
@@ -91,11 +91,11 @@ class AbstractMomentFilter(AbstractMomentPrediction):
         del key
         image = self.strategy().image(sight_of(model, belief.mean), belief.cov)
         noise_cov = model.noise_cov(belief.mean).astype(belief.cov.dtype)
-        cov = symmetric(image.cov + noise_cov)
+        cov = mirrored(image.cov + noise_cov)
         root = cholesky(cov)
         K = gain(image.cross, root)
         residual = space(image.mean).boxminus(measurement, image.mean).astype(cov.dtype)
-        after, lifted = image.sound(image.remainder(K) + K @ noise_cov @ K.T)
+        after, lifted = image.sound(image.posterior(K, noise_cov))
         repairs = image.repairs + lifted
         mean, turn = moved(belief.mean, K @ residual)
         posterior = belief._replace(mean=mean, cov=turned(turn, after))
@@ -146,4 +146,4 @@ def moved(mean: Any, shift: Float[Array, " n"]) -> tuple[Any, Float[Array, "n n"
 
 def turned(turn: Float[Array, "n n"] | None, cov: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """A covariance of errors about the old mean as one about the new mean."""
-    return cov if turn is None else symmetric(turn @ cov @ turn.T)
+    return cov if turn is None else mirrored(turn @ cov @ turn.T)

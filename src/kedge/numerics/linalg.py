@@ -7,6 +7,7 @@ computes in the precision of its arguments.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.scipy.linalg import cholesky as library_cholesky
 from jax.scipy.linalg import solve_triangular
@@ -20,6 +21,15 @@ UNROLLED_COLUMNS = 32
 def symmetric(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Remove the antisymmetric part that rounding leaves."""
     return (matrix + matrix.T) / 2
+
+
+def mirrored(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The lower triangle on both sides, of what is symmetric but for rounding.
+
+    Scalar by scalar compiled, the upper triangle is then not even computed.
+    """
+    lower = np.tri(matrix.shape[0], dtype=bool)
+    return jnp.where(lower, matrix, matrix.T)
 
 
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
@@ -89,7 +99,7 @@ def solve_lower(
         value = right[i]
         for k in range(i):
             value = value - root[i, k] * rows[k]
-        rows.append(value / root[i, i])
+        rows.append(value * (1 / root[i, i]))  # the factorisation has that inverse already
     return jnp.stack(rows)
 
 
@@ -105,7 +115,7 @@ def solve_lower_transposed(
         value = right[i]
         for k in range(i + 1, size):
             value = value - root[k, i] * rows[k]
-        rows[i] = value / root[i, i]
+        rows[i] = value * (1 / root[i, i])
     return jnp.stack([rows[i] for i in range(size)])
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.numerics.linalg import definite, square_root, symmetric
+from kedge.numerics.linalg import definite, mirrored, square_root
 from kedge.numerics.linearity import is_affine
 from kedge.numerics.quadrature import Rule
 
@@ -31,9 +31,9 @@ class Image(NamedTuple):
     cov: Float[Array, "m m"]
     cross: Float[Array, "n m"]
     """Covariance of the error before with the value after."""
-    remainder: Callable[[Float[Array, "n m"]], Float[Array, "n n"]]
-    """Covariance of ``error - K value`` for any gain K: positive semi-definite as computed,
-    so rounding cannot break the posterior (Joseph's form, for every strategy)."""
+    posterior: Callable[[Float[Array, "n m"], Float[Array, "m m"]], Float[Array, "n n"]]
+    r"""Covariance of ``error - K (value + noise)`` for any gain K and noise of covariance R:
+    what is wrong with K only adds to it (Joseph's form, for every strategy)."""
     sound: Callable[[Float[Array, "k k"]], tuple[Float[Array, "k k"], Int[Array, ""] | int]]
     """Makes a covariance computed from this image symmetric and, if the strategy's weights
     can be negative, semi-definite; says how many pivots had to be lifted for that."""
@@ -105,11 +105,15 @@ class Taylor(AbstractPropagation):
             spread = effect * noise_std[None]
             image = image + spread @ spread.T
 
-        def remainder(gain: Float[Array, "n m"]) -> Float[Array, "n n"]:
-            rest = jnp.eye(cov.shape[0], dtype=cov.dtype) - gain @ slope
-            return rest @ cov @ rest.T
+        def posterior(
+            gain: Float[Array, "n m"], noise: Float[Array, "m m"]
+        ) -> Float[Array, "n n"]:
+            # (1 - K H) P (1 - K H)^T + K R K^T, by products with K and H, which are thin. The
+            # last one is zero but for what is wrong with the gain, and for rounding.
+            rest = cov - gain @ (slope @ cov)
+            return rest - (rest @ slope.T - gain @ noise) @ gain.T
 
-        return Image(mean, symmetric(image), cov @ slope.T, remainder, _symmetric)
+        return Image(mean, mirrored(image), cov @ slope.T, posterior, _symmetric)
 
     def factors(
         self,
@@ -183,14 +187,16 @@ class SigmaPoints(AbstractPropagation):
         weights = jnp.asarray(rule.cov_weights, cov.dtype)[:, None]
         sound = _definite if rule.cov_weights.min() < 0 else _symmetric
 
-        def remainder(gain: Float[Array, "n m"]) -> Float[Array, "n n"]:
+        def posterior(
+            gain: Float[Array, "n m"], noise: Float[Array, "m m"]
+        ) -> Float[Array, "n n"]:
             # The points stand for cov exactly only under weights without beta's correction
             # of the centre; at the centre the error is zero, so the sum is right with it.
             rest = errors - spread @ gain.T
-            return rest.T @ (weights * rest)
+            return rest.T @ (weights * rest) + gain @ noise @ gain.T
 
         image, repairs = sound(spread.T @ (weights * spread))
-        return Image(mean, image, errors.T @ (weights * spread), remainder, sound, repairs)
+        return Image(mean, image, errors.T @ (weights * spread), posterior, sound, repairs)
 
     def factors(
         self,
@@ -237,8 +243,8 @@ def _definite(
     cov: Float[Array, "k k"],
 ) -> tuple[Float[Array, "k k"], Int[Array, ""]]:
     """Symmetric and semi-definite, and how many pivots had to be lifted for that."""
-    return definite(symmetric(cov))
+    return definite(mirrored(cov))
 
 
 def _symmetric(cov: Float[Array, "k k"]) -> tuple[Float[Array, "k k"], int]:
-    return symmetric(cov), 0
+    return mirrored(cov), 0

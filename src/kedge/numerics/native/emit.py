@@ -15,7 +15,7 @@ from kedge.numerics.native.text import LLVM_TYPES, constant, simple, suffix, typ
 NAME = "kedge_pass"
 HEAD = 5
 """Words before the arrays."""
-MOST_LINES = 15_000
+MOST_LINES = 20_000
 """Of a program: LLVM's time grows faster than its length, and from here on XLA is quicker."""
 
 

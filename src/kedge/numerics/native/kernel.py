@@ -1,7 +1,10 @@
 """A compiled program and the arrays that it works on."""
 
+import functools as ft
+import math
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -33,6 +36,12 @@ class Kernel:
             _aligned((groups, events, *shape, self.lanes), TYPES[kind])
             for kind, shape in self.outputs
         ]
+
+    def size(self, events: int) -> int:
+        """Bytes of one run's results."""
+        return events * sum(
+            math.prod(shape) * np.dtype(TYPES[kind]).itemsize for kind, shape in self.outputs
+        )
 
     def carry(self, runs: int) -> np.ndarray:
         """Room for what is carried from event to event, as 64-bit words."""
@@ -70,10 +79,29 @@ class Kernel:
         events: int,
         runs: int = 1,
     ) -> None:
-        """The whole pass over ``events`` of all runs, written into ``outputs``."""
-        carry = self.carry(runs)  # named, so that it outlives the call
-        block = self.block(arrays, outputs, carry, events, 0, runs)
-        self.code.call(block.ctypes.data)
+        """The whole pass over ``events`` of all runs, written into ``outputs``.
+
+        The cores share the runs, in whole registers: each run's bits are its own.
+        """
+        carry = self.carry(runs)
+        share = -(-runs // (cores() * self.lanes)) * self.lanes
+        blocks = [
+            self.block(arrays, outputs, carry, events, begin, min(begin + share, runs))
+            for begin in range(0, runs, share)
+        ]
+        if len(blocks) == 1:
+            self.code.call(blocks[0].ctypes.data)
+            return
+        calls = [_threads().submit(self.code.call, block.ctypes.data) for block in blocks]
+        for call in calls:
+            call.result()
+
+
+@ft.cache
+def _threads() -> ThreadPoolExecutor:
+    """Kept, since starting a thread takes as long as many a pass; anew in a forked process."""
+    os.register_at_fork(after_in_child=_threads.cache_clear)
+    return ThreadPoolExecutor(cores(), "kedge-native")
 
 
 def cores() -> int:
