@@ -90,7 +90,7 @@ class AbstractMomentFilter(AbstractMomentPrediction):
         """Condition on one measurement."""
         del key
         image = self.strategy().image(sight_of(model, belief.mean), belief.cov)
-        noise_cov = model.noise_cov(belief.mean).astype(belief.cov.dtype)
+        noise_cov = jnp.asarray(model.noise_cov(belief.mean), belief.cov.dtype)
         cov = mirrored(image.cov + noise_cov)
         root = cholesky(cov)
         K = gain(image.cross, root)
