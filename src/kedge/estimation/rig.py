@@ -38,8 +38,16 @@ class Installation(eqx.Module):
 
     allowed_silence: float | None = eqx.field(static=True, default=None)
     """s without a reading of it that is fused, after which the estimate counts as degraded."""
+    sweep: bool = eqx.field(static=True, default=False)
+    """Whether, in simulation, it reads all targets of its map each time it fires, not the next."""
+    really: AbstractSensor | None = None
+    """What it is in simulation, where that is not what filters take it for."""
 
     def __check_init__(self):
+        if self.sweep and self.targets is None:
+            raise ContractError(
+                f"sensor {self.name!r}: it is to sweep its targets, but has no map of any"
+            )
         if self.recovery is not None and self.gate is None:
             raise ContractError(
                 f"sensor {self.name!r}: recovery is {self.recovery:g} s, but there is no gate "

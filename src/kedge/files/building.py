@@ -14,7 +14,7 @@ from kedge.core.registry import sensors, unknown, vehicles
 from kedge.estimation.rig import Installation, Mount, Rig, check_reads
 from kedge.files.config import AbstractRigConfig
 from kedge.files.logs import TargetMap
-from kedge.files.models import build_model, parts
+from kedge.files.models import Parameter, build_model, parts
 from kedge.files.readings import join, map_of
 from kedge.numerics.losses import Loss
 from kedge.vehicles.augmented import Wander, augment
@@ -52,29 +52,35 @@ def build_vehicle(
 
 
 def build_installation(
-    config: AbstractRigConfig, name: str, sensor: AbstractSensor
+    config: AbstractRigConfig,
+    name: str,
+    sensor: AbstractSensor,
+    really: AbstractSensor | None = None,
 ) -> Installation:
-    """A sensor as it is installed: rate, latency, gate, mount, noise."""
+    """A sensor as it is installed: rate, latency, gate, mount, noise; what it ``really`` is."""
     spec = config.sensors[name]
     mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
     robust = spec.robust and Loss(spec.robust.loss, spec.robust.tuning, spec.robust.side)
-    gates = spec.gate, mount, robust, spec.recovery, spec.allowed_silence
+    gates = spec.gate, mount, robust, spec.recovery, spec.allowed_silence, spec.sweep, really
     return Installation(name, sensor, spec.rate, spec.latency, *gates)
 
 
 def build_sensor(
-    config: AbstractRigConfig, name: str, maps: Mapping[str, TargetMap]
+    config: AbstractRigConfig,
+    name: str,
+    maps: Mapping[str, TargetMap],
+    changes: Mapping[str, Parameter] = {},
 ) -> AbstractSensor:
-    """A sensor with its parameters and its map.
+    """A sensor with its parameters, perhaps some of them changed, and its map.
 
     Raises:
         ConfigError: the map is unknown, or lacks a column.
         ContractError: the sensor refuses its parameters.
     """
     spec = config.sensors[name]
-    cls = sensors.get(spec.model)
+    cls, parameters = sensors.get(spec.model), {**spec.parameters, **changes}
     try:
-        sensor = build_model(cls, spec.parameters)
+        sensor = build_model(cls, parameters)
         if spec.map is None:
             return sensor
         targets, default = map_of(config, name, maps), sensor.target
@@ -91,7 +97,7 @@ def build_sensor(
                     )
             shape = (len(targets.ids), *np.shape(value)[1:])
             fields[field] = join(targets.columns, labels, shape)
-        return build_model(cls, spec.parameters, target=type(default)(**fields))
+        return build_model(cls, parameters, target=type(default)(**fields))
     except ContractError as error:
         raise ContractError(f"{config.origin}: sensors.{name}: {error}") from error
 

@@ -98,6 +98,8 @@ class SensorConfig(Strict):
     parameters: dict[str, Parameter] = {}
     latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
     rate: Positive | None = None
+    sweep: bool = False
+    really: dict[str, Parameter] = {}
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
     robust: RobustConfig | None = None
     recovery: Positive | None = None
@@ -112,6 +114,9 @@ class SensorConfig(Strict):
         yield from wrong
         if wrong and wrong[0].startswith("model"):
             return
+        for line in model_complaints(sensors, self.model, self.parameters | self.really):
+            if line not in wrong:
+                yield line.replace("parameters.", "really.", 1)
         cls = sensors.get(self.model)
         parts = list(components(cls.measures))
         for key in ("columns", "std"):

@@ -350,8 +350,13 @@ def build_setting(config: ScenarioConfig) -> Setting:
     """
     bare, vehicle = build_vehicle(config, {})
     sensors = tuple(
-        build_installation(config, name, build_sensor(config, name, {}))
-        for name in config.sensors
+        build_installation(
+            config,
+            name,
+            build_sensor(config, name, {}),
+            build_sensor(config, name, {}, spec.really) if spec.really else None,
+        )
+        for name, spec in config.sensors.items()
     )
     rig = Rig(vehicle, sensors, build_prior(config, bare, vehicle, {}))
     check_noise(config, rig)

@@ -49,7 +49,7 @@ class Anchor(NamedTuple):
     """Row of the identity: which of the estimated biases is its own."""
 
 
-def _complete(anchor: Anchor) -> Anchor:
+def complete(anchor: Anchor) -> Anchor:
     """One value for all becomes one for each; each gets its row of the identity."""
     if anchor.own is not None:
         return anchor
@@ -158,7 +158,7 @@ class Ranges(AbstractSensor[Measurement]):
     measures = Measurement
     nominal_rate = 10.0
     positive = ("range",)
-    target: Anchor = eqx.field(converter=_complete, default=Anchor(_example(None)))
+    target: Anchor = eqx.field(converter=complete, default=Anchor(_example(None)))
     range_std: Metres = 0.1
     range_std_per_metre: Ratio = 0.0
     tag_height: Metres = 0.0
@@ -198,7 +198,7 @@ class Ranges3(AbstractSensor[Measurement]):
     measures = Measurement
     nominal_rate = 10.0
     positive = ("range",)
-    target: Anchor = eqx.field(converter=_complete, default=Anchor(_example(2.0)))
+    target: Anchor = eqx.field(converter=complete, default=Anchor(_example(2.0)))
     range_std: Metres = 0.1
     range_std_per_metre: Ratio = 0.0
     biases: str = eqx.field(static=True, default="")

@@ -9,7 +9,7 @@ from kedge.core.contracts import AbstractSensor
 from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position, Scalar
 from kedge.core.registry import sensors
-from kedge.sensors.ranges import Anchor, Ranges
+from kedge.sensors.ranges import Anchor, Ranges, complete
 
 SquaredRange = Annotated[Scalar, Euclidean("m^2")]
 
@@ -39,7 +39,7 @@ class SquaredRanges(AbstractSensor[Measurement]):
     reads = Reads
     measures = Measurement
     nominal_rate = 10.0
-    target: Anchor = eqx.field(default_factory=lambda: Ranges().target)
+    target: Anchor = eqx.field(converter=complete, default_factory=lambda: Ranges().target)
     range_std: Metres = 0.1
     squared_std: Scalar = 0.0  # m^2; 0 for what follows from range_std
     tag_height: Metres = 0.0

@@ -86,7 +86,8 @@ class Navigator(eqx.Module):
 class Scenario(eqx.Module):
     """A rig driven by its vehicle's own ``drive``, or in a world; sensors fire at their rates.
 
-    A sensor over a map sees its targets in turn, one each time it fires. Without a world the
+    A sensor over a map sees its targets in turn, one each time it fires, or all of them each time
+    if it is installed to ``sweep``. Without a world the
     truth is drawn from the rig's prior ``spin_up`` seconds before time 0 and moves until then,
     so that it begins on the attractor of a system that has one.
 
@@ -130,6 +131,14 @@ class Scenario(eqx.Module):
                 f'scenario: feedback is "{self.feedback}", but nothing is steered here; '
                 'expected "none", or a world with a guidance'
             )
+        if self.feedback in ("readings", "filter"):
+            for own in self.rig.sensors:
+                if own.sweep:
+                    raise ContractError(
+                        f"sensors.{own.name}: found sweep, but a guidance that hears readings or "
+                        f'a filter (feedback is "{self.feedback}") takes one reading of a sensor '
+                        "at a time"
+                    )
         if self.faults:
             self._check_faults()
 
@@ -164,10 +173,11 @@ class Scenario(eqx.Module):
         return self.feedback == "filter" and self.navigator is None
 
     def ticks(self, installation: Installation) -> np.ndarray:
-        """The steps, counted from 1, at whose ends a sensor fires."""
+        """The steps, counted from 1, at whose ends a sensor reads; as often as it reads."""
         rate = installation.rate or installation.sensor.nominal_rate
         every = max(1, round(1 / (rate * self.dt)))
-        return np.arange(every, self.steps + 1, every)
+        at_once = (installation.targets or 1) if installation.sweep else 1
+        return np.repeat(np.arange(every, self.steps + 1, every), at_once)
 
     def times(self, installation: Installation) -> np.ndarray:
         """The stamps of a sensor's readings, in s."""

@@ -1,5 +1,6 @@
 """Readings of a true state: one function, for recorded readings and for those in a loop."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ def sensed(
     installation: Installation, state: Any, target: Int[Array, ""], key: PRNGKeyArray
 ) -> Any:
     """What a sensor measures of one target from a true state."""
+    installation = as_it_is(installation)
     expected = installation.expect(state, target)
     outputs = space(expected)
     noise = coloured(
@@ -29,6 +31,13 @@ def sensed(
         lambda: installation.noise_cov(state, target),
     )
     return outputs.boxplus(expected, noise)
+
+
+def as_it_is(installation: Installation) -> Installation:
+    """With the sensor that is simulated, where filters take it for another."""
+    if installation.really is None:
+        return installation
+    return dataclasses.replace(installation, sensor=installation.really, really=None)
 
 
 def targets_of(installation: Installation, count: int) -> Int[Array, " n"]:
@@ -77,6 +86,7 @@ def all_told(controls: Any, dt: float, troubles: Sequence[Trouble]) -> Any:
 
 def noise_std(installation: Installation, state: Any, target: Any) -> Float[Array, " m"]:
     """The standard deviation of each component of a reading."""
+    installation = as_it_is(installation)
     variance = installation.noise_variance(state, target)
     if variance is None:
         variance = jnp.diag(installation.noise_cov(state, target))
