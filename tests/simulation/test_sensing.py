@@ -1,4 +1,4 @@
-"""How simulated sensors read: all targets at once, and with a noise that filters do not know."""
+"""Simulated sensors: all targets at once, and a noise that filters do not know."""
 
 import jax
 import numpy as np

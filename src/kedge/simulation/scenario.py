@@ -86,10 +86,10 @@ class Navigator(eqx.Module):
 class Scenario(eqx.Module):
     """A rig driven by its vehicle's own ``drive``, or in a world; sensors fire at their rates.
 
-    A sensor over a map sees its targets in turn, one each time it fires, or all of them each time
-    if it is installed to ``sweep``. Without a world the
-    truth is drawn from the rig's prior ``spin_up`` seconds before time 0 and moves until then,
-    so that it begins on the attractor of a system that has one.
+    A sensor over a map sees its targets in turn, one each time it fires, or all of them each
+    time if it is installed to ``sweep``. Without a world the truth is drawn from the rig's
+    prior ``spin_up`` seconds before time 0 and moves until then, so that it begins on the
+    attractor of a system that has one.
 
     The guidance of a world that has one steers by ``feedback``: "none" (it believes that all
     goes as intended), "truth", "readings" (each as it is, until the next) or "filter": its
@@ -135,9 +135,9 @@ class Scenario(eqx.Module):
             for own in self.rig.sensors:
                 if own.sweep:
                     raise ContractError(
-                        f"sensors.{own.name}: found sweep, but a guidance that hears readings or "
-                        f'a filter (feedback is "{self.feedback}") takes one reading of a sensor '
-                        "at a time"
+                        f"sensors.{own.name}: found sweep, but a guidance that hears readings "
+                        f'or a filter (feedback is "{self.feedback}") takes one reading of a '
+                        "sensor at a time"
                     )
         if self.faults:
             self._check_faults()
