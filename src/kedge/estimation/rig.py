@@ -39,7 +39,7 @@ class Installation(eqx.Module):
     allowed_silence: float | None = eqx.field(static=True, default=None)
     """s without a reading of it that is fused, after which the estimate counts as degraded."""
     sweep: bool = eqx.field(static=True, default=False)
-    """Whether, in simulation, it reads all targets of its map at once, not one after another."""
+    """Whether, in simulation, it reads all targets of its map at once, not in turn."""
     really: AbstractSensor | None = None
     """What it is in simulation, where that is not what filters take it for."""
 
