@@ -96,6 +96,38 @@ def exact(case):
     return np.array(P.tolist(), float)
 
 
+def by_dynamax(case):
+    """One axis of the same recursion by dynamax, which updates by P - K S K^T."""
+    inference = pytest.importorskip("dynamax.linear_gaussian_ssm.inference")
+    place, pace, std, density, steps = CASES[case]
+    F = np.array([[1, DT], [0, 1]])
+    G = np.array([[DT**2 / 2], [DT]])
+    Q = G @ G.T * density**2 / DT
+    first = F @ np.diag([place, pace]) @ F.T + Q  # its first state is at the first reading
+    none = jnp.zeros((2, 0))
+    params = inference.ParamsLGSSM(
+        inference.ParamsLGSSMInitial(jnp.zeros(2), jnp.asarray(first)),
+        inference.ParamsLGSSMDynamics(
+            jnp.asarray(F), jnp.zeros(2), none, jnp.asarray(Q)
+        ),
+        inference.ParamsLGSSMEmissions(
+            jnp.array([[1.0, 0.0]]), jnp.zeros(1), none[:1],
+            jnp.array([[std**2]]),
+        ),
+    )  # fmt: skip
+    found = inference.lgssm_filter(params, jnp.zeros((steps, 1)))
+    return found.filtered_covariances[-1]
+
+
+def told(cov, answer):
+    """The largest relative error, and whether the matrix is a covariance at all."""
+    scale = np.sqrt(np.outer(np.diag(answer), np.diag(answer)))
+    off = np.abs((cov - answer) / scale).max()
+    lowest = np.linalg.eigvalsh(cov / scale).min() if np.isfinite(off) else off
+    return off, f"{off:.0e}" + ("" if lowest >= -1e-15 else " (indefinite)")
+
+
+@pytest.mark.filterwarnings("ignore")  # dynamax imports what JAX will remove
 @pytest.mark.parametrize("case", CASES)
 def test_digits(times, case):
     place, pace, std, density, steps = CASES[case]
@@ -103,17 +135,16 @@ def test_digits(times, case):
     start = constant_velocity.State(jnp.zeros(2), jnp.zeros(2))
     prior = kedge.Gaussian(start, jnp.diag(jnp.array([place, place, pace, pace])))
     answer, seen = exact(case), Measurement(jnp.zeros(2))
-    scale = np.sqrt(np.outer(np.diag(answer), np.diag(answer)))
     texts = []
     for dtype in (jnp.float64, jnp.float32):
+        bits = jnp.finfo(dtype).bits
         for name in ("kalman", "cubature"):
             for form, make in FORMS.items():
                 run = runner(make(name), vehicle, Gnss(std=std), (), seen, dtype, steps=steps)
                 cov = np.asarray(jax.jit(run)(cast(prior, dtype)).cov, float)[::2, ::2]
-                off = np.abs((cov - answer) / scale).max()
-                lowest = np.linalg.eigvalsh(cov / scale).min() if np.isfinite(off) else off
-                sound = "" if lowest >= -1e-15 else " (indefinite)"
-                texts.append(f"{name}, {form}, float{jnp.finfo(dtype).bits}: {off:.0e}{sound}")
+                off, text = told(cov, answer)
+                texts.append(f"{name}, {form}, float{bits}: {text}")
                 if dtype == jnp.float64:
                     assert off < 1e-3
+    texts.append(f"dynamax, float64: {told(np.asarray(by_dynamax(case)), answer)[1]}")
     times.note(f"{case}: largest relative error of the covariance\n    " + "\n    ".join(texts))

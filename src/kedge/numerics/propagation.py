@@ -100,7 +100,8 @@ class Taylor(AbstractPropagation):
     ) -> Image:
         """Linearise at the origin."""
         mean, slope, effect = self._linearise(function, cov, noise_std)
-        image = slope @ cov @ slope.T
+        cross = cov @ slope.T
+        image = slope @ cross
         if noise_std is not None:
             spread = effect * noise_std[None]
             image = image + spread @ spread.T
@@ -110,10 +111,10 @@ class Taylor(AbstractPropagation):
         ) -> Float[Array, "n n"]:
             # (1 - K H) P (1 - K H)^T + K R K^T, by products with K and H, which are thin. The
             # last one is zero but for what is wrong with the gain, and for rounding.
-            rest = cov - gain @ (slope @ cov)
+            rest = cov - gain @ cross.T
             return rest - (rest @ slope.T - gain @ noise) @ gain.T
 
-        return Image(mean, mirrored(image), cov @ slope.T, posterior, _symmetric)
+        return Image(mean, mirrored(image), cross, posterior, _symmetric)
 
     def factors(
         self,
