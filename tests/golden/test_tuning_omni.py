@@ -18,9 +18,9 @@ def example():
     return module
 
 
-@pytest.mark.parametrize("name", ["omni-circle", "omni-square"])
-def test_one_lap_tunes_as_well_as_a_hand(example, name):
-    tuned, scores = example.compare(name, seed=0, runs=40)
+def test_one_lap_tunes_as_well_as_a_hand(example):
+    """The square; the example does the circle too."""
+    tuned, scores = example.compare("omni-square", seed=0, runs=40)
     hand, guess, innovations, truth = scores
     for found in (innovations, truth):
         position, heading, nees, nis = found
