@@ -4,10 +4,9 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-import pytest
 from jax.extend.random import threefry_2x32
 
-from kedge.numerics.random import _log_unit, _turned, normals, threefry
+from kedge.numerics.random import _log_unit, _turned, fold_in, normals, split, threefry
 
 WORDS = np.append(
     np.random.default_rng(0).integers(0, 2**32, 10_000, dtype=np.uint32),
@@ -22,14 +21,33 @@ def test_the_generator_is_that_of_jax():
     np.testing.assert_array_equal(jnp.concatenate(ours), theirs)
 
 
-@pytest.mark.parametrize(("kind", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-6)])
-def test_logarithm_and_cosine(kind, tolerance):
+def test_logarithm_and_cosine():
     words = jnp.asarray(WORDS)
-    found = np.asarray(_log_unit(words, np.dtype(kind)), float)
-    np.testing.assert_allclose(found, np.log((WORDS + 0.5) / 2**32), atol=tolerance)
-    angle = 2 * np.pi * (WORDS + 0.5) / 2**32 - np.pi / 4
-    found = _turned(words, np.dtype(kind))
-    np.testing.assert_allclose(found, [np.cos(angle), np.sin(angle)], atol=tolerance)
+    found = np.asarray(_log_unit(words), float)
+    expected = np.log((WORDS // 2 + 0.25) / 2**31)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
+    angle = 2 * np.pi * WORDS / 2**32 - np.pi / 4
+    np.testing.assert_allclose(_turned(words), [np.cos(angle), np.sin(angle)], atol=1e-6)
+
+
+def test_keys_are_those_of_jax():
+    key = jr.key(7)
+
+    def data(keys):
+        return np.asarray(jr.key_data(keys))
+
+    for number in (0, 5, 2**32 - 1):
+        np.testing.assert_array_equal(data(fold_in(key, number)), data(jr.fold_in(key, number)))
+    np.testing.assert_array_equal(data(split(key, 5)), data(jr.split(key, 5)))
+    many = jr.split(key, 3)
+    numbers = jnp.arange(3)
+    for ours, theirs in ((fold_in, jr.fold_in), (lambda k, _: split(k), lambda k, _: jr.split(k))):
+        np.testing.assert_array_equal(
+            data(jax.vmap(ours)(many, numbers)), data(jax.vmap(theirs)(many, numbers))
+        )
+    other = jr.key(3, impl="rbg")
+    np.testing.assert_array_equal(data(fold_in(other, 2)), data(jr.fold_in(other, 2)))
+    np.testing.assert_array_equal(data(split(other)), data(jr.split(other)))
 
 
 def test_the_law():

@@ -20,6 +20,7 @@ from kedge.estimation.rig import Installation, Rig, as_arrays
 from kedge.filters.gated import Gated, regain
 from kedge.filters.robust import Robust
 from kedge.numerics.linalg import cholesky, solve_lower
+from kedge.numerics.random import fold_in
 
 B = TypeVar("B")
 
@@ -243,7 +244,7 @@ def event_keys(
     Events at which nothing happens (a time asked for twice, a control) count for neither, so
     they change no draw. ``key`` itself is never used to draw, and no key is used twice.
     """
-    return jr.fold_in(jr.fold_in(key, 1), moves), jr.fold_in(jr.fold_in(key, 2), takes)
+    return fold_in(fold_in(key, 1), moves), fold_in(fold_in(key, 2), takes)
 
 
 def _finite(tree: Any) -> Bool[Array, ""]:

@@ -11,7 +11,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -28,7 +27,7 @@ from kedge.core.quantities import Scalar
 from kedge.core.registry import filters, unknown
 from kedge.numerics.ensemble import Evidence, Whitened, rotation, scored, whiten
 from kedge.numerics.noise import correlated, draws, process_std
-from kedge.numerics.random import normals
+from kedge.numerics.random import normals, split
 from kedge.numerics.spread import with_noise
 
 NOISES = ("sampled", "deterministic")
@@ -131,7 +130,7 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
         """
         states = space(belief.members)
         distances = self._distances(model, belief)
-        analyse_key, turn_key = jr.split(key)
+        analyse_key, turn_key = split(key)
         mean, anomalies = belief.centred()
         expected, spread = Ensemble(jax.vmap(model.expect)(belief.members)).centred()
         residual = space(measurement).boxminus(measurement, expected)

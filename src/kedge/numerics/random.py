@@ -1,15 +1,16 @@
-r"""Standard normal draws by counter, several times cheaper than ``jax.random.normal``.
+r"""Standard normal draws by counter, many times cheaper than ``jax.random.normal``.
 
 ``jax.random.normal`` turns 64 bits into one number by the inverse error function, and its
-generator is a loop that XLA cannot fuse with what turns its words into numbers. Here the same
-generator (Threefry-2x32 with 20 rounds) is written out, its two words make two numbers, and all
-of it is arithmetic element by element, which XLA fuses and vectorises.
+generator is a loop of several dozen kernels. Here the same generator (Threefry-2x32 with 20
+rounds) is written out, and its two words make two numbers of single precision that leave as one
+word of 64 bits: so one loop makes all, element by element, and XLA vectorises it.
 
 Source: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
 SC11, 2011, section 3.3 (Threefry); G. Box, M. Muller, "A note on the generation of random
 normal deviates", Ann. Math. Statist. 29(2), 1958.
 """
 
+import functools as ft
 import math
 from typing import Any
 
@@ -18,12 +19,16 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray, UInt32
+from jaxtyping import Array, Float, Int, Key, PRNGKeyArray, UInt32
+
+from kedge.numerics.apart import apart
 
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 PARITY = 0x1BD11BDA
 TAG = 0x6B656467
 """The counters' upper word: keys are split and folded with others, so no number comes twice."""
+ROOT_HALF = 0x3F3504F3
+"""Bits of the root of one half in single precision."""
 
 Words = UInt32[Array, " n"]
 
@@ -33,22 +38,35 @@ def normals(
 ) -> Float[Array, "..."]:
     r"""Standard normal numbers; the same for a key in a batch, alone, or in another order.
 
-    Two words of 32 bits make u, v in (0, 1), and these
-    $\sqrt{-2 \ln u}\,(\cos 2\pi v, \sin 2\pi v)$. What that costs beside 53 random bits a
-    number: numbers lie on $2^{32}$ circles at $2^{32}$ angles, and none beyond 6.8.
+    Two words of 32 bits make u, v in (0, 1], and these
+    $\sqrt{-2 \ln u}\,(\cos 2\pi v, \sin 2\pi v)$ in single precision, whatever the ``dtype``.
+    What that costs beside 53 random bits a number: every number has 24 digits, none is beyond
+    6.8, and pairs within 0.002 of the origin lie on a few hundred circles.
     """
     size = math.prod(shape)
-    half = -(-size // 2)
-    if not jnp.issubdtype(key.dtype, jax.dtypes.prng_key) or jr.key_impl(key) != "threefry2x32":
+    if not _is_threefry(key):
         return jr.normal(key, shape, dtype)
-    counters = lax.iota(jnp.uint32, half)
-    first, second = threefry(jr.key_data(key), jnp.full(half, TAG, jnp.uint32), counters)
-    kind = jnp.zeros((), dtype).dtype
-    radius = jnp.sqrt(-2 * _log_unit(first, kind))
-    cosine, sine = _turned(second, kind)
-    # Kept as numbers: fused with its use, each half would draw both words and the radius anew.
-    pair = lax.optimization_barrier((radius * cosine, radius * sine))
-    return jnp.concatenate(pair)[:size].reshape(shape)
+    pairs = _pairs(jr.key_data(key), -(-size // 2))
+    each = lax.bitcast_convert_type(pairs, jnp.float32)
+    return each.reshape(-1)[:size].reshape(shape).astype(dtype)
+
+
+def fold_in(key: PRNGKeyArray, number: Int[Array, ""] | int) -> PRNGKeyArray:
+    """The key that ``jax.random.fold_in`` makes, without its loop."""
+    if not _is_threefry(key):
+        return jr.fold_in(key, number)
+    lower = jnp.asarray(number).astype(jnp.uint32)[None]
+    words = threefry(jr.key_data(key), jnp.zeros_like(lower), lower)
+    return jr.wrap_key_data(jnp.concatenate(words), impl="threefry2x32")
+
+
+def split(key: PRNGKeyArray, count: int = 2) -> Key[Array, " n"]:
+    """The keys that ``jax.random.split`` makes, without its loop."""
+    if not _is_threefry(key):
+        return jr.split(key, count)
+    lower = lax.iota(jnp.uint32, count)
+    words = threefry(jr.key_data(key), jnp.zeros_like(lower), lower)
+    return jr.wrap_key_data(jnp.stack(words, axis=1), impl="threefry2x32")
 
 
 def threefry(key: UInt32[Array, "2"], upper: Words, lower: Words) -> tuple[Words, Words]:
@@ -65,40 +83,72 @@ def threefry(key: UInt32[Array, "2"], upper: Words, lower: Words) -> tuple[Words
     return one, two
 
 
-def _log_unit(word: Words, kind: np.dtype) -> Float[Array, " n"]:
-    r"""$\ln u$, $u = (w + \tfrac12) / 2^{32}$, by $\ln m = 2\,\mathrm{artanh}\frac{m-1}{m+1}$.
+def _is_threefry(key: PRNGKeyArray) -> bool:
+    return (
+        jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and jr.key_impl(key) == "threefry2x32"
+    )
 
-    As arithmetic, since a call of the library's logarithm is not vectorised. To 1e-13.
+
+@ft.partial(apart, static=1)
+def _pairs(key: UInt32[Array, "2"], half: int) -> Array:
+    """Two numbers in each word of 64 bits; without such words, in each row."""
+    counters = lax.iota(jnp.uint32, half)
+    first, second = threefry(key, jnp.full(half, TAG, jnp.uint32), counters)
+    radius = jnp.sqrt(-2 * _log_unit(first))
+    one, other = (radius * part for part in _turned(second))
+    if not jax.config.read("jax_enable_x64"):
+        return jnp.stack([one, other], axis=1)
+    bits = (lax.bitcast_convert_type(x, jnp.uint32).astype(jnp.uint64) for x in (one, other))
+    low, high = bits
+    return (high << 32) | low
+
+
+def _log_unit(word: Words) -> Float[Array, " n"]:
+    r"""$\ln u$, $u = (w + \tfrac12) / 2^{32}$, of w without its last bit; to 1e-7 or 6 digits.
+
+    As arithmetic, since a call of the library's logarithm is not vectorised.
+
+    Source: S. Moshier, "Methods and Programs for Mathematical Functions", 1989 (the polynomial,
+    of the Cephes library's ``logf``).
     """
-    bits, bias, integer = (52, 1023, jnp.int64) if kind == jnp.float64 else (23, 127, jnp.int32)
-    parts = lax.bitcast_convert_type(word.astype(kind) + 0.5, integer)
-    fraction = (parts & ((1 << bits) - 1)) | (bias << bits)
-    m = lax.bitcast_convert_type(fraction, kind)  # 1 <= m < 2
-    high = m > math.sqrt(2)
-    m = jnp.where(high, m / 2, m)
-    exponent = (parts >> bits).astype(jnp.int32) - (bias + 32) + high
-    t = (m - 1) / (m + 1)
-    series = _horner([2 / (2 * k + 1) for k in range(8)], t * t)
-    return exponent.astype(kind) * math.log(2) + t * series
-
-
-def _turned(word: Words, kind: np.dtype) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    r"""Cosine and sine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn."""
-    quarter = word >> 30
     # Signed, since machines convert those faster.
-    rest = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(kind)
-    x = (rest - (2**29 - 0.5)) * (math.pi / 2**31)
+    number = (word >> 1).astype(jnp.int32).astype(jnp.float32) + 0.25
+    parts = lax.bitcast_convert_type(number, jnp.int32) - ROOT_HALF
+    fraction = (parts & 0x7FFFFF) + ROOT_HALF
+    m = lax.bitcast_convert_type(fraction, jnp.float32) - 1  # between the roots of 1/2 and 2
+    square = m * m
+    series = m + (m * square * _horner(LOGARITHM, m) - square / 2)
+    return series + ((parts >> 23) - 31).astype(jnp.float32) * np.float32(math.log(2))
+
+
+LOGARITHM = [
+    *(3.3333331174e-1, -2.4999993993e-1, 2.0000714765e-1, -1.6668057665e-1, 1.4249322787e-1),
+    *(-1.2420140846e-1, 1.1676998740e-1, -1.1514610310e-1, 7.0376836292e-2),
+]
+
+
+def _turned(word: Words) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    r"""Cosine and sine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn; to 1e-6."""
+    quarter = word >> 30
+    rest = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(jnp.float32)
+    x = (rest - 2.0**29) * np.float32(math.pi / 2**31)
     x2 = x * x
-    sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(8)], x2)
-    cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(8)], x2)
+    sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(5)], x2)
+    cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(5)], x2)
     odd = (quarter & 1) == 1
-    first, second = jnp.where(odd, sine, cosine), jnp.where(odd, cosine, sine)
+    first, second = lax.select(odd, sine, cosine), lax.select(odd, cosine, sine)
     # Quarters 1 and 2 are those to the left, 2 and 3 those below.
-    left, below = ((quarter + 1) & 2) == 2, (quarter & 2) == 2
-    return jnp.where(left, -first, first), jnp.where(below, -second, second)
+    return _signed(first, (quarter + 1) & 2), _signed(second, quarter & 2)
 
 
-def _horner(coefficients: list[float], x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def _signed(value: Float[Array, " n"], two: Words) -> Float[Array, " n"]:
+    """With the sign turned where ``two`` is 2, not 0."""
+    return lax.bitcast_convert_type(
+        lax.bitcast_convert_type(value, jnp.uint32) ^ (two << 30), jnp.float32
+    )
+
+
+def _horner(coefficients: list[float], x: Float[Array, " n"]) -> Float[Array, " n"]:
     value = jnp.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         value = value * x + coefficient
