@@ -84,9 +84,7 @@ def threefry(key: UInt32[Array, "2"], upper: Words, lower: Words) -> tuple[Words
 
 
 def _is_threefry(key: PRNGKeyArray) -> bool:
-    return (
-        jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and jr.key_impl(key) == "threefry2x32"
-    )
+    return jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and jr.key_impl(key) == "threefry2x32"
 
 
 @ft.partial(apart, static=1)
