@@ -116,7 +116,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             parameters = item.callspec.params if hasattr(item, "callspec") else {}
             if "data" in item.fixturenames and "data" not in parameters:
                 item.add_marker("data")
-        if "golden" in item.path.parts:
+        if "golden" in item.path.relative_to(config.rootpath).parts:
             item.add_marker("golden")
         names = {item.nodeid, item.nodeid.split("::")[0]}
         if names & listed and not item.nodeid.endswith(KEPT):
