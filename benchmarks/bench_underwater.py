@@ -18,6 +18,7 @@ from kedge.estimation.runs import estimate_runs
 from kedge.numerics.noise import process_std
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.vehicles.accelerations import slope
 from kedge.vehicles.hydrodynamics import FEATURES, features, response
 from kedge.vehicles.underwater import DOWN, FLIP, Noise, Underwater
 
@@ -168,15 +169,6 @@ def test_the_dynamics_against_numpy(times):
     times.row(row, "NumPy", slow / steps, quick / steps)
 
 
-def exact_slope(reply, velocity, commands):
-    r"""$J = 2\,T \cdot x + 2\,D\,\operatorname{diag}|x|$, and what the fins add."""
-    tensor = reply[:, :36].reshape(6, 6, 6)
-    pairs = (tensor + tensor.transpose(0, 2, 1)) @ velocity
-    fins = 2 * velocity[0] * (reply[:, -2:] @ commands[2:])
-    slope = pairs + 2 * reply[:, 36:42] * jnp.abs(velocity)[None]
-    return slope.at[:, 0].add(fins)
-
-
 def test_the_velocities_jacobian(times):
     reply, down = response(Underwater().hull), jnp.array([0.0, 0.0, 1.0])
     commands, count, repeats = jnp.array([3.86, 0.0, 0.05, 0.02]), 1000, 200
@@ -185,21 +177,21 @@ def test_the_velocities_jacobian(times):
     def automatic(velocity):
         return jax.jacfwd(lambda v: reply @ features(v, down, commands))(velocity)
 
-    def repeated(slope):
+    def repeated(rule):
         """Each time at another place, so that nothing can be lifted out of the loop."""
 
         @jax.jit
         def call(points):
             def body(at, _):
-                found = jax.vmap(slope)(at)
+                found = jax.vmap(rule)(at)
                 return at + 1e-6 * found[:, :, 0], None
 
             return jax.lax.scan(body, points, None, length=repeats)[0]
 
         return call
 
-    exact, by_rule = repeated(lambda v: exact_slope(reply, v, commands)), repeated(automatic)
-    found = jax.vmap(lambda v: exact_slope(reply, v, commands))(points)
+    exact, by_rule = repeated(lambda v: slope(reply, v, commands)), repeated(automatic)
+    found = jax.vmap(lambda v: slope(reply, v, commands))(points)
     np.testing.assert_allclose(found, jax.vmap(automatic)(points), atol=1e-12)
     jax.block_until_ready((exact(points), by_rule(points)))
     _, slow = times.best(lambda: jax.block_until_ready(by_rule(points)), 5, time.process_time)

@@ -291,6 +291,32 @@ def test_truth_that_is_asked_for_and_not_there(drive):
         drive.load(truth="truth", until=-1.0)
 
 
+@pytest.mark.slow
+def test_steps_that_are_too_long_for_the_vehicle(tmp_path):
+    """With the limit and the remedy, before any filter runs."""
+    (tmp_path / "log").mkdir()
+    units = '[sources.commands]\ncolumns = { thrust = "N", roll_torque = "N m", '
+    units += 'rudder = "rad", stern = "rad" }\n[sources.depth]\ncolumns = { depth = "m" }\n'
+    (tmp_path / "log" / "log.toml").write_text(units)
+    stamps = range(1248272265, 1248272269)
+    rows = {"commands": "thrust,roll_torque,rudder,stern", "depth": "depth"}
+    for name, columns in rows.items():
+        values = ",1" * (columns.count(",") + 1)
+        lines = [f"time,{columns}", *(f"{stamp}{values}" for stamp in stamps)]
+        (tmp_path / "log" / f"{name}.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "rig.toml").write_text(
+        'extends = "auv_navigation-hydrodynamic"\nwithout = ["sensors.dvl", "sensors.ahrs", '
+        '"sensors.gyro", "vehicle.slow"]\n[output]\nrate = 1.0\n'
+    )
+    given = str(tmp_path / "rig.toml"), str(tmp_path / "log")
+    message = (
+        r"\(output.rate = 1 Hz\) is 1 s, expected at most 0.576 s: beyond that the step of"
+    )
+    with pytest.raises(ContractError, match=message):
+        load_problem(*given)
+    assert load_problem(*given, overrides={"output.rate": "2"}).rig.names == ("depth",)
+
+
 def test_the_recorded_robot(data):
     """The reference filter of the set's notes reaches .283 m on robot 3; so does the rig."""
     problem = load_problem("mrclam", f"{data / 'mrclam'}#3", overrides={"output.rate": "5"})

@@ -15,6 +15,7 @@ from kedge.apps.console import (
     check_requirements,
     finish,
     parse_requirements,
+    plain_warnings,
     print_json,
     require,
 )
@@ -357,7 +358,8 @@ def _finish_study(
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
     try:
-        app()
+        with plain_warnings():
+            app()
     except ThresholdMissed as error:
         print(f"kedge: {error}", file=sys.stderr)
         sys.exit(3)

@@ -5,6 +5,7 @@ import json
 import re
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,24 @@ def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
             print(f"[{time.perf_counter() - begin:5.1f} s] {text}", file=sys.stderr, flush=True)
 
         yield line
+
+
+@contextlib.contextmanager
+def plain_warnings() -> Iterator[None]:
+    """Show warnings that are meant for users like errors: one line, without a line of code."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
+        if category is UserWarning:
+            print(f"kedge: warning: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *rest, **more)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def print_json(value: Any) -> None:

@@ -19,7 +19,7 @@ from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.log import Log, Readings
 from kedge.estimation.native_step import NativeStep
 from kedge.estimation.passage import is_smoothable, passage, require_smoothable
-from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.smoother import backward
 from kedge.estimation.step import (
     Outcome,
@@ -90,6 +90,7 @@ class Estimator:
         self._names = rig.names
         self._ranks = {name: rank for rank, name in enumerate(self._names)}
         self._horizon, self._start = horizon, float(start)
+        self._vehicle, self._longest = rig.vehicle, rig.vehicle.longest_step()
         # By rank: the silence that is allowed, and when the sensor was last heard.
         silences = {rank: one.allowed_silence for rank, one in enumerate(rig.sensors)}
         self._allowed = {rank: s for rank, s in silences.items() if s is not None}
@@ -143,7 +144,8 @@ class Estimator:
 
         Raises:
             DataError: the time is not finite.
-            ContractError: the rig has no such sensor.
+            ContractError: the rig has no such sensor, or the step is longer than the vehicle's
+                stays stable: tell it of times in between.
         """
         if not math.isfinite(time):
             raise DataError(f"event time is {time}; expected seconds since the start")
@@ -163,6 +165,9 @@ class Estimator:
             return self._unchanged(event, Verdict.LATE)
         if self._window.holds(event):
             return self._unchanged(event, Verdict.DUPLICATE)
+        if time - self.time > self._longest:
+            what = f"event at {time:g} s: the step since the event before"
+            check_step(self._vehicle, time - self.time, what)
         return self._take(event)
 
     def smoothed(self) -> list[tuple[float, Gaussian]]:

@@ -45,6 +45,8 @@ UNITS: dict[str, tuple[str, float]] = {
     "g": ("m/s^2", 9.80665),
     "Pa": ("Pa", 1.0),
     "bar": ("Pa", 1e5),
+    "N": ("N", 1.0),
+    "N m": ("N m", 1.0),
     # Variances and covariances that come with readings.
     "m^2": ("m^2", 1.0),
     "rad^2": ("rad^2", 1.0),

@@ -117,13 +117,15 @@ class FuzzyKalman(AbstractFilter[Mixture]):
                     f"fuzzy: box of {name!r} is {low:g} to {high:g}; the upper end must be "
                     "above the lower"
                 )
-            if low < 0 < high:
-                warnings.warn(
-                    f"fuzzy: box of {name!r} is {low:g} to {high:g} and straddles zero: if the "
-                    f"model has a term |{name}| {name} (drag), its slope there is 0, but this "
-                    "box takes it from its ends; use a box on one side of zero",
-                    stacklevel=2,
-                )
+        if across := [
+            f"{n} {low:g} to {high:g}" for n, low, high in self.sides if low < 0 < high
+        ]:
+            warnings.warn(
+                f"fuzzy: the box straddles zero in {', '.join(across)}: where the model has a "
+                "term |x| x of these (drag), its slope at zero is 0, but this box takes it from "
+                "its ends; use a box on one side of zero",
+                stacklevel=2,
+            )
         for field in ("predictor", "covariance"):
             known = CHOICES[field]
             if getattr(self, field) not in known:

@@ -28,7 +28,7 @@ from kedge.simulation.scenario import AbstractWorld, History, Scenario
 from kedge.vehicles.underwater import Control
 from kedge.vehicles.underwater_level import State
 
-SHAPES = ("straight", "turning", "diving")
+SHAPES = ("straight", "turning", "diving", "turning-dive")
 
 
 class AbstractCommanded(AbstractWorld):
@@ -50,11 +50,11 @@ class UnderwaterPath(AbstractCommanded):
     r"""A path that is drawn, not sailed: it obeys no model, and no command changes it.
 
     Straight for ``straight`` steps at ``speed``, to the east; then its slope grows smoothly
-    until ``share`` of the time is over; then it is straight again. "turning" turns to
-    starboard with $r = r_m \sin^2 \pi s$, "diving" slopes down by
-    $\gamma = \gamma_m (1 - \cos \pi s) / 2$ with the share s of that stretch, as a velocity
-    along its own down axis: the vehicle stays level. Positions are sums of the velocities, as
-    Euler's rule has them.
+    until ``share`` of the time is over; then it is straight again. With the share s of that
+    stretch, "turning" turns to starboard with $r = 4 r_m s (1 - s)$, so that the slope in plan
+    grows as $3 s^2 - 2 s^3$; "diving" slopes down by $\gamma = \gamma_m (1 - \cos \pi s) / 2$,
+    as a velocity along its own down axis: the vehicle stays level; "turning-dive" does both.
+    Positions are sums of the velocities, as Euler's rule has them.
 
     Raises:
         ContractError: an unknown shape.
@@ -86,9 +86,9 @@ class UnderwaterPath(AbstractCommanded):
         grown = jnp.clip(grown, 0.0, 1.0)
         none = jnp.zeros(steps + 1)
         rate, down = none, none
-        if self.shape == "turning":
-            rate = -self.turn * jnp.sin(jnp.pi * grown) ** 2
-        if self.shape == "diving":
+        if self.shape in ("turning", "turning-dive"):
+            rate = -self.turn * 4 * grown * (1 - grown)
+        if self.shape in ("diving", "turning-dive"):
             down = self.slope * (1 - jnp.cos(jnp.pi * grown)) / 2
         velocity = self.speed * jnp.stack([jnp.cos(down), none, -jnp.sin(down)], axis=1)
         heading = _sums(rate, dt)

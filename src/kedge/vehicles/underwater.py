@@ -26,12 +26,12 @@ from kedge.core.quantities import (
 from kedge.core.registry import unknown, vehicles
 from kedge.core.rotations import conjugate, matrix_of, rotate, spun
 from kedge.numerics.stability import RULES, longest_step
+from kedge.vehicles.accelerations import accelerations
 from kedge.vehicles.body_twist import State as State
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import (
     Coefficients,
     cruise,
-    features,
     modes,
     response,
     tangent_features,
@@ -110,9 +110,9 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         return as_coefficients(self.coefficients)
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
-        reply, form = response(self.hull, self.drag_scale), features
+        reply, pushed = response(self.hull, self.drag_scale), accelerations
         if self.linear:
-            form = tangent_features(self.hull)
+            pushed = _linear(self.hull)
         commands = clipped(self.hull, control, self.thrust_scale)
         shaken = jnp.concatenate(
             [FLIP[:3] * noise.acceleration, FLIP[3:] * noise.angular_acceleration]
@@ -123,7 +123,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
             """Of u to r (forward, starboard, down), the position and the quaternion."""
             velocity, quaternion = x[:6], x[9:]
             turn = matrix_of(quaternion)
-            push = reply @ form(velocity, DOWN * turn[2], commands) + shaken
+            push = pushed(reply, velocity, DOWN * turn[2], commands) + shaken
             moved = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
             return jnp.concatenate([push, moved, spun(quaternion, FLIP[3:] * velocity[3:])])
 
@@ -170,6 +170,12 @@ def clipped(
     limit = hull.fin_limit
     parts += [jnp.clip(fin, -limit, limit) for fin in (control.rudder, control.stern)]
     return jnp.stack([jnp.asarray(part) for part in parts])
+
+
+def _linear(hull: Coefficients) -> Callable[..., Float[Array, "6"]]:
+    """The accelerations with features to first order."""
+    form = tangent_features(hull)
+    return lambda reply, *given: reply @ form(*given)
 
 
 def integrate(rule: str, rates: Callable[[P], P], x: P, dt: Scalar) -> P:

@@ -21,8 +21,9 @@ from kedge.core.quantities import (
 from kedge.core.registry import unknown, vehicles
 from kedge.core.rotations import direction, wrap
 from kedge.numerics.stability import RULES
+from kedge.vehicles.accelerations import accelerations
 from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import Coefficients, features, response
+from kedge.vehicles.hydrodynamics import Coefficients, response
 from kedge.vehicles.underwater import FLIP, Control, Noise, clipped, integrate
 
 
@@ -70,7 +71,7 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
         down = jnp.array([0.0, 0.0, 1.0])
 
         def push(velocity: Float[Array, "6"]) -> Float[Array, "6"]:
-            return FLIP * (reply @ features(FLIP * velocity, down, commands))
+            return FLIP * accelerations(reply, FLIP * velocity, down, commands)
 
         return moved_level(self.integrator, push, state, noise, dt)
 
