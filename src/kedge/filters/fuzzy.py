@@ -122,8 +122,8 @@ class FuzzyKalman(AbstractFilter[Mixture]):
         ]:
             warnings.warn(
                 f"fuzzy: the box straddles zero in {', '.join(across)}: where the model has a "
-                "term |x| x of these (drag), its slope at zero is 0, but this box takes it from "
-                "its ends; use a box on one side of zero",
+                "term |x| x of these (drag), its slope at zero is 0, but this box takes it "
+                "from its ends; use a box on one side of zero",
                 stacklevel=2,
             )
         for field in ("predictor", "covariance"):
