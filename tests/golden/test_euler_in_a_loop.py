@@ -31,10 +31,9 @@ class Euler(AbstractLateral):
         return space(state).unflatten(x + dt * (A @ x + B @ u))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("dt", "ratio"), [(0.02, 1.02), (0.05, 1.08), (0.1, 1.27)])
-def test_the_lateral_velocity_suffers(dt, ratio):
-    """+2, +8 and +27 %, with gusts of the same standard deviation in each step."""
+def test_the_lateral_velocity_suffers():
+    """By 8 % in steps of 0.05 s, with gusts of the same standard deviation in each."""
+    dt, ratio = 0.05, 1.08
     deviations = {"lateral_noise": 0.5, "yaw_noise": 0.2, "longitudinal_noise": 0.3}
     gusts = {name: std * dt**0.5 for name, std in deviations.items()}
     car = LateralTracking(**gusts)
