@@ -42,11 +42,13 @@ def compiled_pass(
     engine: Engine = "auto",
     keep: Callable[[Estimates], Any] | None = None,
     own: Any = None,
+    work: int = 0,
 ) -> Any:
     """The pass in machine code, or None if XLA is to do it. Parameters must be arrays.
 
     ``own`` is a tree like ``(filter, rig, log)`` of flags: which arrays have a leading axis of
-    runs. Without it there is one run.
+    runs. Without it there is one run. ``work`` is how many events are to be passed in all, over
+    all runs: of many, a program is worth compiling that is too long for a few.
 
     Raises:
         ContractError: ``engine`` is "native" and that is not possible.
@@ -61,7 +63,7 @@ def compiled_pass(
         from kedge.estimation.native import native_pass
 
         try:
-            return native_pass(filter, rig, log, history, keep, own)
+            return native_pass(filter, rig, log, history, keep, own, work)
         except Unsupported as error:
             why = str(error)
     if chosen == "native" and engine == "native":

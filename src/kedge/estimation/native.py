@@ -18,13 +18,22 @@ from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates, whole_pass
 from kedge.numerics.native.graph import Unsupported
 from kedge.numerics.native.kernel import Kernel, cores, prepared
-from kedge.numerics.native.program import Argument, build
+from kedge.numerics.native.program import SHORT, Argument, Limits, build
 from kedge.numerics.native.values import kind_of
 
 ROWS = 2
 """In place of however many events or readings there are, while the program is traced."""
 MOST_BYTES = 2**26
 """Of results that lie in memory as the machine code leaves them, before they are ordered."""
+
+MUCH = 1_000_000
+"""Events of all runs together from which a long program is worth compiling."""
+LONG = Limits(scalars=400_000, lines=100_000)
+"""Of a program for so many events.
+
+A line takes LLVM longer to compile than XLA, and saves time at every event of every run: how
+many of them it takes to pay does not depend on how many lines there are.
+"""
 
 Keep = Callable[[Estimates], Any] | None
 Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], int, bool]
@@ -45,19 +54,23 @@ class NativePass:
     """A compiled pass: of one run, or of runs side by side that share a schedule."""
 
     def __init__(
-        self, traced: Traced, own: Sequence[bool] | None, wanted: frozenset[int] | None
+        self,
+        traced: Traced,
+        own: Sequence[bool] | None,
+        wanted: frozenset[int] | None,
+        limits: Limits = SHORT,
     ):
         batched = own is not None
         flags = own or [False] * len(traced.arguments)
         arguments = [a._replace(own=o) for a, o in zip(traced.arguments, flags, strict=True)]
-        program = build(traced.jaxpr, [*arguments, None], batched)
+        program = build(traced.jaxpr, [*arguments, None], batched, limits)
         if wanted is not None:
             kept = [i for i, place in enumerate(program.places) if place in wanted]
             program = program._replace(
                 outputs=[program.outputs[i] for i in kept],
                 places=[program.places[i] for i in kept],
             )
-        self.kernel = Kernel(program, batched)
+        self.kernel = Kernel(program, batched, limits)
         self.arguments, self.own = arguments, flags
         self.memory = threading.local()
         self.results = jax.tree.structure(traced.results)
@@ -180,7 +193,13 @@ def _unpacked(
 
 
 def native_pass(
-    filter: AbstractFilter, rig: Rig, log: Log, history: bool, keep: Keep, own: Any
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log,
+    history: bool,
+    keep: Keep,
+    own: Any,
+    work: int = 0,
 ) -> One | Many:
     """The compiled pass for this structure and these shapes; compiled once in a process.
 
@@ -203,7 +222,7 @@ def native_pass(
         wanted = None if keep is None else _wanted(form, keep)
     except TypeError:  # it holds arrays, so that it cannot be looked up
         wanted = _wanted.__wrapped__(form, keep)
-    compiled = _compiled(form, flags, wanted)
+    compiled = _compiled(form, flags, wanted, LONG if work >= MUCH else SHORT)
     return One(compiled, keep, history) if flags is None else Many(compiled, keep)
 
 
@@ -228,9 +247,12 @@ def _traced(form: Form) -> Traced:
 
 @ft.lru_cache(maxsize=64)
 def _compiled(
-    form: Form, flags: tuple[bool, ...] | None, wanted: frozenset[int] | None
+    form: Form,
+    flags: tuple[bool, ...] | None,
+    wanted: frozenset[int] | None,
+    limits: Limits,
 ) -> NativePass:
-    return NativePass(_traced(form), flags, wanted)
+    return NativePass(_traced(form), flags, wanted, limits)
 
 
 @ft.lru_cache(maxsize=64)

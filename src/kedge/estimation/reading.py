@@ -71,9 +71,11 @@ class Sighting(AbstractMeasurementModel):
         return jnp.sum(self.present)
 
     def possible(self, state: Any, measurement: Any) -> Bool[Array, ""]:
-        """Whether the sensor could have read this of its target at all."""
+        """Whether the sensor could have read this of its target; NaN is what is missing."""
         seen = self.installation.sensor.facing(self.target)
-        return jnp.asarray(seen.possible(state, measurement))
+        pairs = zip(self.missing, measurement, strict=True)
+        read = type(measurement)(*(jnp.where(gone, jnp.nan, leaf) for gone, leaf in pairs))
+        return jnp.asarray(seen.possible(state, read))
 
     def source(self) -> str:
         """The sensor's name."""

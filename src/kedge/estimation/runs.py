@@ -61,7 +61,9 @@ def estimate_runs(
         shared((filter, rig)),
         Log(shared(log.schedule), own(log.controls), own(log.readings)),
     )
-    native = compiled_pass(filter, rig, log, False, engine, keep, flags)
+    native = compiled_pass(
+        filter, rig, log, False, engine, keep, flags, count * len(log.schedule.time)
+    )
     if native is not None:
         # It reads plain memory, so that parts need no copy, and uses all cores by itself.
         log = jax.tree.map(np.asarray, log)

@@ -217,7 +217,7 @@ class Trials:
         rows = Rows(self.plan.events, self.plan.sensed)
         engine: Engine = "xla" if self.study.scenario.feedback == "filter" else "auto"
         schedule = self.plan.log.schedule
-        return FilterPass(self.filters[name], rig, schedule, rows, key, engine)
+        return FilterPass(self.filters[name], rig, schedule, rows, key, engine, self.runs)
 
     def _truths(self, name: str, index: Int[Array, " runs"]) -> tuple[Simulation, Any]:
         """Simulate runs; if a guidance listens to each filter in turn, to the one named."""

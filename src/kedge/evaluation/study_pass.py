@@ -53,8 +53,9 @@ class Believed(NamedTuple):
 class FilterPass:
     """A filter's pass over chunks of runs of one size, compiled once.
 
-    Run i draws from ``fold_in(key, i)``. Machine code does each run by itself, whatever the
-    chunk, so its bits are those of the run alone; XLA's hang on how many it does at once.
+    ``runs`` is how many there are in all chunks. Run i draws from ``fold_in(key, i)``.
+    Machine code does each run by itself, whatever the chunk, so its bits are those of the run
+    alone; XLA's hang on how many it does at once.
     """
 
     def __init__(
@@ -65,10 +66,12 @@ class FilterPass:
         rows: Rows,
         key: PRNGKeyArray,
         engine: Engine = "auto",
+        runs: int = 1,
     ):
         self._filter, self._rig, self._schedule = as_arrays((filter, rig, schedule))
         self._rows, self._key = rows, key
         self._engine: Engine = engine
+        self._work = runs * len(schedule.time)
         self._native: Any = None
         self._lowered: Any = None
         self._program: Any = None
@@ -96,7 +99,9 @@ class FilterPass:
         )
         flags = none[0], *_told(none[1], none[2], all_own)
         pick = _Pick(None, *_kept(rig))
-        self._native = compiled_pass(self._filter, rig, log, False, self._engine, pick, flags)
+        self._native = compiled_pass(
+            self._filter, rig, log, False, self._engine, pick, flags, self._work
+        )
         if self._native is None:
             self._lowered = _batch.lower(*self._arguments(given, np.arange(_runs(given))))
         self.compile_seconds += time.perf_counter() - begin

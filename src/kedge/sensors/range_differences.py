@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from kedge.core.contracts import AbstractSensor
 from kedge.core.quantities import Metres, Position, Position3, Range
 from kedge.core.registry import sensors
+from kedge.sensors.ranges import CHANCE
 
 NEAR = 1e-9  # m; keeps slopes finite at an anchor
 
@@ -49,6 +50,13 @@ def _difference(anchor: Anchor, place: Float[Array, " d"]) -> Measurement:
     return Measurement(far - near + jnp.asarray(anchor.offset))
 
 
+def _possible(anchor: Anchor, std: Any, measurement: Measurement) -> Any:
+    """Whether it is, but for noise, no longer than the way between the two anchors."""
+    between = _distance(jnp.asarray(anchor.position), jnp.asarray(anchor.reference))
+    found = jnp.abs(measurement.difference - jnp.asarray(anchor.offset))
+    return found <= between + CHANCE * jnp.asarray(std)
+
+
 @sensors.add("range-differences")
 class RangeDifferences(AbstractSensor[Measurement]):
     r"""Time difference of arrival in the plane, as a length.
@@ -75,6 +83,9 @@ class RangeDifferences(AbstractSensor[Measurement]):
     def noise_std(self, state: Reads) -> Measurement:
         return Measurement(jnp.asarray(self.std))
 
+    def possible(self, state: Any, measurement: Measurement) -> Any:
+        return _possible(self.target, self.std, measurement)
+
 
 @sensors.add("range-differences3")
 class RangeDifferences3(AbstractSensor[Measurement]):
@@ -97,3 +108,6 @@ class RangeDifferences3(AbstractSensor[Measurement]):
 
     def noise_std(self, state: Reads3) -> Measurement:
         return Measurement(jnp.asarray(self.std))
+
+    def possible(self, state: Any, measurement: Measurement) -> Any:
+        return _possible(self.target, self.std, measurement)

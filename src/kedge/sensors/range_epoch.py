@@ -12,6 +12,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position
 from kedge.core.registry import sensors
+from kedge.sensors.ranges import CHANCE
 
 CORNERS = ((0.0, 0.0), (0.0, 6.0), (5.0, 0.0), (5.0, 6.0))  # m
 
@@ -82,6 +83,13 @@ class RangeEpoch(AbstractSensor[Any]):
         if self.stds:
             return self.measures(jnp.stack([jnp.asarray(std) for std in self.stds]))
         return self.measures(jnp.full(len(self.anchors), self.std))
+
+    def possible(self, state: Any, measurement: Any) -> Any:
+        """Whether every range that was heard is positive and, but for noise, long enough."""
+        told, found = self.ranging(self.project(state)), measurement.ranges
+        noise = self.noise_std(self.project(state)).ranges
+        least = jnp.abs(told.rise) + jnp.minimum(told.excess, 0.0) - CHANCE * noise
+        return jnp.all(jnp.isnan(found) | ((found > 0) & (found >= least)))
 
     def ranging(self, state: Reads) -> Ranging:
         places = jnp.stack([jnp.stack([jnp.asarray(x) for x in a]) for a in self.anchors])

@@ -1,6 +1,6 @@
 """Squared ranges to the anchors of a map: quadratic in the position, noisier far away."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from kedge.core.contracts import AbstractSensor
 from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position, Scalar
 from kedge.core.registry import sensors
-from kedge.sensors.ranges import Anchor, Ranges, complete
+from kedge.sensors.ranges import CHANCE, Anchor, Ranges, complete
 
 SquaredRange = Annotated[Scalar, Euclidean("m^2")]
 
@@ -30,7 +30,7 @@ class SquaredRanges(AbstractSensor[Measurement]):
     is exactly quadratic in the position and has no singular point, not even the anchor; what
     it costs is a noise that is not normal there and depends on the distance. ``ranges`` has
     neither. With ``squared_std`` that noise is a constant instead, as filters of the
-    literature have it.
+    literature have it. Offsets and scales of anchors are not for it.
 
     Source: A. Beck, P. Stoica, J. Li, "Exact and approximate solutions of source localization
     problems", IEEE Trans. Signal Processing 56(5), 2008, section 2 (squared ranges).
@@ -51,6 +51,13 @@ class SquaredRanges(AbstractSensor[Measurement]):
         variance = jnp.asarray(self.range_std) ** 2
         own = jnp.sqrt(4 * self._squared(state) * variance + 2 * variance**2)
         return Measurement(jnp.where(self.squared_std > 0, self.squared_std, own))
+
+    def possible(self, state: Any, measurement: Measurement) -> Any:
+        """Whether it is a square, and no smaller than that of the height but for noise."""
+        above = Reads(jnp.asarray(self.target.position))
+        least, noise = self.observe(above).squared_range, self.noise_std(above).squared_range
+        found = measurement.squared_range
+        return (found > 0) & (found >= least - CHANCE * noise)
 
     def _squared(self, state: Reads) -> Scalar:
         away = state.position - self.target.position

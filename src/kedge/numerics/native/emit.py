@@ -9,21 +9,19 @@ register holds lies side by side.
 
 from kedge.numerics.native.graph import Branches, Node, Region, Unsupported
 from kedge.numerics.native.liveness import is_needed, needed
-from kedge.numerics.native.program import Program
+from kedge.numerics.native.program import SHORT, Program
 from kedge.numerics.native.text import LLVM_TYPES, constant, simple, suffix, type_of
 
 NAME = "kedge_pass"
 HEAD = 5
 """Words before the arrays."""
-MOST_LINES = 20_000
-"""Of a program: LLVM's time grows faster than its length, and from here on XLA is quicker."""
 
 
 class Writer:
     """The text of one program for ``lanes`` runs at once."""
 
-    def __init__(self, program: Program, lanes: int):
-        self.program, self.lanes = program, lanes
+    def __init__(self, program: Program, lanes: int, most: int = SHORT.lines):
+        self.program, self.lanes, self.most = program, lanes, most
         self.needed = needed(program)
         self.lines: list[str] = []
         self.declared: set[str] = set()
@@ -45,8 +43,8 @@ class Writer:
         left = [self._as(n, c.varying) for n, c in self._carry(self.program.left)]
         self.splats.pop()
         self._close_loop(left)
-        if len(self.lines) > MOST_LINES:
-            raise Unsupported(f"{len(self.lines)} instructions, more than {MOST_LINES}")
+        if len(self.lines) > self.most:
+            raise Unsupported(f"{len(self.lines)} instructions, more than {self.most}")
         body = "\n".join(self.lines)
         head = "\n".join(sorted(self.declared))
         return f"{head}\ndefine void @{NAME}(ptr %block) {{\n{body}\n}}\n"

@@ -12,7 +12,7 @@ import numpy as np
 from kedge.numerics.native.algebra import TYPES
 from kedge.numerics.native.emit import HEAD, Writer
 from kedge.numerics.native.machine import compile_text
-from kedge.numerics.native.program import Program
+from kedge.numerics.native.program import SHORT, Limits, Program
 
 LANES = 8
 """Runs side by side: two registers of AVX2, or one of AVX-512, which keeps both pipes busy."""
@@ -21,13 +21,13 @@ LANES = 8
 class Kernel:
     """One program as machine code, for one run or for several of one schedule."""
 
-    def __init__(self, program: Program, batched: bool):
+    def __init__(self, program: Program, batched: bool, limits: Limits = SHORT):
         self.lanes = LANES if batched else 1
         self.arguments = program.arguments
         self.outputs = [(o.kind, o.shape) for o in program.outputs]
         self.passed, self.places, self.ends = program.passed, program.places, program.ends
         self.carried = [node.kind for node in program.carried]
-        self.code = compile_text(Writer(program, self.lanes).write())
+        self.code = compile_text(Writer(program, self.lanes, limits.lines).write())
 
     def fresh(self, events: int, runs: int) -> list[np.ndarray]:
         """Arrays for the results."""

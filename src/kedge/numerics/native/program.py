@@ -12,8 +12,19 @@ from kedge.numerics.native.graph import Graph, Node, Region, Unsupported
 from kedge.numerics.native.interpret import Interpreter
 from kedge.numerics.native.values import Opaque, Stored, Value, filled, kind_of, literal
 
-MOST_SCALARS = 60_000
-"""Of a program while it is taken apart."""
+
+class Limits(NamedTuple):
+    """How long a program may become before it is left to XLA."""
+
+    scalars: int = 60_000
+    """While it is taken apart."""
+    lines: int = 20_000
+    """LLVM's time grows faster than a program's length: from here on XLA compiles sooner."""
+
+
+SHORT = Limits()
+
+
 RULES_OF = calling, elementwise, indexing, reducing, shaping
 """The modules whose import registers the rules."""
 
@@ -60,7 +71,12 @@ class Program(NamedTuple):
     carried. What no event changes is not carried, and no result."""
 
 
-def build(traced: ClosedJaxpr, arguments: Sequence[Argument | None], batched: bool) -> Program:
+def build(
+    traced: ClosedJaxpr,
+    arguments: Sequence[Argument | None],
+    batched: bool,
+    limits: Limits = SHORT,
+) -> Program:
     """Take a program apart that ends in one loop over events.
 
     An argument that is None must not be needed: a random key. ``batched`` programs are for
@@ -69,7 +85,7 @@ def build(traced: ClosedJaxpr, arguments: Sequence[Argument | None], batched: bo
     Raises:
         Unsupported: it has another form, or does what cannot be compiled.
     """
-    graph = Graph(MOST_SCALARS)
+    graph = Graph(limits.scalars)
     functions = Functions(graph)
     interpreter = Interpreter(functions)
     jaxpr = traced.jaxpr
