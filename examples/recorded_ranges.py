@@ -41,6 +41,7 @@ ROBUST = {
     "student": NO_GATE | {"sensors.radio.robust": '{loss="student"}'},
     "cauchy": NO_GATE | {"sensors.radio.robust": '{loss="cauchy"}'},
     "huber": NO_GATE | {"sensors.radio.robust": '{loss="huber"}'},
+    "gate or Student": NO_GATE,
     "none": NO_GATE,
 }
 
@@ -106,7 +107,8 @@ def main() -> None:
         for name, overrides in ROBUST.items():
             problem = load_problem("plaza", log, overrides=overrides)
             problem = problem if change is None else change(problem)
-            ((_, text),) = figures(problem, ["extended"])
+            filter = "gate-or-student" if name == "gate or Student" else "extended"
+            ((_, text),) = figures(problem, [filter])
             print(f"{what:24s}{name:18s}{text}")
     alone = "{speed_scale={std=0.05}, yaw_rate_scale={std=0.05}}"
     problem = load_problem("plaza", log, overrides=NO_GATE | {"vehicle.slow": alone})
