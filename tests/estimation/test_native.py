@@ -11,11 +11,14 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.core.registry import filters, sensors
 from kedge.core.verdicts import Verdict
+from kedge.estimation import native
 from kedge.estimation.batch import estimate_with_history
+from kedge.estimation.compiled import compiled_pass
 from kedge.estimation.log import REPEATED
 from kedge.estimation.online import Estimator, replay
-from kedge.estimation.rig import check_reads
+from kedge.estimation.rig import as_arrays, check_reads
 from kedge.numerics.losses import Loss
+from kedge.numerics.native.program import Limits
 from kedge.simulation.simulate import schedule, simulate, with_readings
 
 pytest.importorskip("llvmlite")
@@ -227,3 +230,15 @@ def test_online_is_the_batch_to_the_bit(problem):
             np.testing.assert_array_equal(mine, getattr(whole.moments.mean, field))
         verdicts = [int(answer.verdict) for answer in answers]
         assert verdicts == np.asarray(whole.outcome.verdict).tolist()
+
+
+@pytest.mark.slow
+def test_a_long_program_is_compiled_for_many_events(problem, monkeypatch):
+    """What is too long for a few events is left to XLA, unless there are many of them."""
+    scenario, log = problem
+    rig, filter = scenario.rig, kedge.make_filter("extended")
+    tree = as_arrays((filter, rig, log))
+    monkeypatch.setattr(native, "SHORT", Limits(lines=10))
+    with pytest.raises(ContractError, match="instructions"):
+        compiled_pass(*tree, False, "native", work=native.MUCH - 1)
+    assert compiled_pass(*tree, False, "native", work=native.MUCH) is not None

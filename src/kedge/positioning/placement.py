@@ -45,7 +45,7 @@ def blocked(area: Area, anchors: Any) -> Bool[np.ndarray, "n m"]:
     begin, end = area.walls[None, None, :, 0], area.walls[None, None, :, 1]
     apart = _side(p, a, begin) * _side(p, a, end) < 0
     across = _side(begin, end, p) * _side(begin, end, a) < 0
-    return (apart & across).any(axis=2)
+    return np.asarray((apart & across).any(axis=2))
 
 
 def bounds(area: Area, anchors: Any) -> Float[np.ndarray, " n"]:
