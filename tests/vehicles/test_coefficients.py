@@ -105,6 +105,15 @@ def test_geometry_gives_the_tables_back():
         assert found[name] == pytest.approx(getattr(DERIVED, name), rel=within), name
 
 
+def test_the_tables_fins_are_smaller_than_those_of_its_drawing():
+    """With 0.0060 m^2 instead of 0.00665 they come out, and all that they act on."""
+    found = coefficients_from_geometry(Hull(), Fins(area=6.0e-3)).values()
+    for name in ("Yuudr", "Zuuds", "Muuds", "Nuudr"):
+        assert found[name] == pytest.approx(getattr(DERIVED, name), rel=0.005), name
+    for name in ("Yur", "Zuq", "Muq", "Nur"):
+        assert found[name] == pytest.approx(getattr(DERIVED, name), rel=0.02), name
+
+
 def test_a_hull_that_cannot_be_is_refused():
     with pytest.raises(ContractError, match="fins from"):
         coefficients_from_geometry(Hull(), Fins(reach=0.01))
