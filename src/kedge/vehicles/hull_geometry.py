@@ -88,12 +88,11 @@ def coefficients_from_geometry(
     length, and $\tfrac12 \rho c_L S$ of a fin. The coupling terms of added mass follow from it.
 
     With the defaults, and against the tables of the thesis ("remus100-derived"): added masses
-    and cross-flow drag within 2 %, Mqq and Nrr 10 %, fins 11 % (0.5 % with an area of 0.0060 m^2,
-    which must be that of the tables), lift 16 %. What is the small
-    difference of large parts (Yrr, Zqq, Muq) or has a lever of its own in the thesis (Kpp) is
-    another number altogether, and Mww and Nvv have the other sign: the drag of what lies aft of
-    the centre pushes the stern, but the thesis adds its fins the other way round. Trials
-    decide, not this.
+    and cross-flow drag within 2 %, Mqq and Nrr 10 %, fins 11 % (0.5 % with an area of 0.0060
+    m^2, which must be that of the tables), lift 16 %. What is the small difference of large
+    parts (Yrr, Zqq, Muq) or has a lever of its own in the thesis (Kpp) is another number
+    altogether, and Mww and Nvv have the other sign: the drag of what lies aft of the centre
+    pushes the stern, but the thesis adds its fins the other way round. Trials decide, not this.
 
     Raises:
         ContractError: the hull is not as long as its parts say, or has no room for its fins.
