@@ -46,7 +46,9 @@ def normals(
     size = math.prod(shape)
     if not _is_threefry(key):
         return jr.normal(key, shape, dtype)
-    pairs = _pairs(jr.key_data(key), -(-size // 2))
+    words = jr.key_data(key)
+    # Zero, but no compiler of the loop knows that.
+    pairs = _pairs(words, (words[0] >> 31) & 2, -(-size // 2))
     each = lax.bitcast_convert_type(pairs, jnp.float32)
     return each.reshape(-1)[:size].reshape(shape).astype(dtype)
 
@@ -87,13 +89,18 @@ def _is_threefry(key: PRNGKeyArray) -> bool:
     return jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and jr.key_impl(key) == "threefry2x32"
 
 
-@ft.partial(apart, static=1)
-def _pairs(key: UInt32[Array, "2"], half: int) -> Array:
-    """Two numbers in each word of 64 bits; without such words, in each row."""
+@ft.partial(apart, static=2)
+def _pairs(key: UInt32[Array, "2"], zero: UInt32[Array, ""], half: int) -> Array:
+    """Two numbers in each word of 64 bits; without such words, in each row.
+
+    Whether a product and the sum after it are rounded once or twice is up to the compiler and
+    to the machine. Here every product passes through integers (an exclusive or with ``zero``),
+    so it is rounded by itself, and a draw has the same bits everywhere.
+    """
     counters = lax.iota(jnp.uint32, half)
     first, second = threefry(key, jnp.full(half, TAG, jnp.uint32), counters)
-    radius = jnp.sqrt(-2 * _log_unit(first))
-    one, other = (radius * part for part in _turned(second))
+    radius = jnp.sqrt(-2 * _log_unit(first, zero))
+    one, other = (radius * part for part in _turned(second, zero))
     if not jax.config.read("jax_enable_x64"):
         return jnp.stack([one, other], axis=1)
     bits = (lax.bitcast_convert_type(x, jnp.uint32).astype(jnp.uint64) for x in (one, other))
@@ -101,7 +108,7 @@ def _pairs(key: UInt32[Array, "2"], half: int) -> Array:
     return (high << 32) | low
 
 
-def _log_unit(word: Words) -> Float[Array, " n"]:
+def _log_unit(word: Words, zero: UInt32[Array, ""]) -> Float[Array, " n"]:
     r"""$\ln u$, $u = (w + \tfrac12) / 2^{32}$, of w without its last bit; to 1e-7 or 6 digits.
 
     As arithmetic, since a call of the library's logarithm is not vectorised.
@@ -115,8 +122,9 @@ def _log_unit(word: Words) -> Float[Array, " n"]:
     fraction = (parts & 0x7FFFFF) + ROOT_HALF
     m = lax.bitcast_convert_type(fraction, jnp.float32) - 1  # between the roots of 1/2 and 2
     square = m * m
-    series = m + (m * square * _horner(LOGARITHM, m) - square / 2)
-    return series + ((parts >> 23) - 31).astype(jnp.float32) * np.float32(math.log(2))
+    bend = _rounded(m * square * _horner(LOGARITHM, m, zero), zero)
+    whole = ((parts >> 23) - 31).astype(jnp.float32) * np.float32(math.log(2))
+    return m + (bend - square / 2) + _rounded(whole, zero)
 
 
 LOGARITHM = [
@@ -125,14 +133,16 @@ LOGARITHM = [
 ]
 
 
-def _turned(word: Words) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+def _turned(
+    word: Words, zero: UInt32[Array, ""]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     r"""Cosine and sine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn; to 1e-6."""
     quarter = word >> 30
     rest = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(jnp.float32)
     x = (rest - 2.0**29) * np.float32(math.pi / 2**31)
     x2 = x * x
-    sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(5)], x2)
-    cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(5)], x2)
+    sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(5)], x2, zero)
+    cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(5)], x2, zero)
     odd = (quarter & 1) == 1
     first, second = lax.select(odd, sine, cosine), lax.select(odd, cosine, sine)
     # Quarters 1 and 2 are those to the left, 2 and 3 those below.
@@ -146,8 +156,16 @@ def _signed(value: Float[Array, " n"], two: Words) -> Float[Array, " n"]:
     )
 
 
-def _horner(coefficients: list[float], x: Float[Array, " n"]) -> Float[Array, " n"]:
+def _horner(
+    coefficients: list[float], x: Float[Array, " n"], zero: UInt32[Array, ""]
+) -> Float[Array, " n"]:
     value = jnp.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
-        value = value * x + coefficient
+        value = _rounded(value * x, zero) + coefficient
     return value
+
+
+def _rounded(product: Float[Array, " n"], zero: UInt32[Array, ""]) -> Float[Array, " n"]:
+    """A product that no compiler can join with what is added to it."""
+    bits = lax.bitcast_convert_type(product, jnp.uint32)
+    return lax.bitcast_convert_type(bits ^ zero, jnp.float32)
