@@ -30,7 +30,7 @@ moments = quick_jit(lambda belief: belief.moments())
 
 def test_an_ensemble_reports_the_sample_covariance():
     members = RANDOM.normal(size=(7, 2))
-    found = moments(Ensemble(Place(jnp.asarray(members))))
+    found = moments(Ensemble.of(Place(jnp.asarray(members))))
     np.testing.assert_allclose(found.mean.position, members.mean(axis=0))
     np.testing.assert_allclose(found.cov, np.cov(members.T))
 
@@ -43,7 +43,7 @@ def test_particles_report_weighted_moments():
 
 
 def test_the_mean_of_angles_across_the_seam_is_at_the_seam():
-    found = moments(Ensemble(Turn(jnp.array([np.pi - 0.1, 0.3 - np.pi]))))
+    found = moments(Ensemble.of(Turn(jnp.array([np.pi - 0.1, 0.3 - np.pi]))))
     np.testing.assert_allclose(found.mean.heading, 0.1 - np.pi)
     np.testing.assert_allclose(found.cov, [[0.4**2 / 2]])
 
@@ -51,7 +51,7 @@ def test_the_mean_of_angles_across_the_seam_is_at_the_seam():
 def test_the_mean_attitude_leaves_no_turn_over():
     """Karcher's mean: the rotation vectors from it to the members sum to nothing."""
     members = Rotation.from_rotvec(0.5 * RANDOM.normal(size=(6, 3)) + [2.5, 0, 0])
-    found = moments(Ensemble(Turned(jnp.asarray(members.as_quat()[:, [3, 0, 1, 2]]))))
+    found = moments(Ensemble.of(Turned(jnp.asarray(members.as_quat()[:, [3, 0, 1, 2]]))))
     mean = Rotation.from_quat(np.asarray(found.mean.attitude)[[1, 2, 3, 0]])
     left = (mean.inv() * members).as_rotvec()
     assert np.linalg.norm(left.mean(axis=0)) < 1e-3 * np.linalg.norm(left, axis=1).mean()

@@ -152,7 +152,7 @@ def test_headings_at_the_seam_move_together(name, key):
         turned = jnp.asarray(centre + offsets[:, 1] + 0.2 * offsets[:, 0])
         heading = jnp.arctan2(jnp.sin(turned), jnp.cos(turned))
         place = jnp.stack([jnp.asarray(offsets[:, 0]), jnp.zeros(20)], axis=1)
-        filter, belief = filters.make(name, count=20), Ensemble(State(place, heading))
+        filter, belief = filters.make(name, count=20), Ensemble.of(State(place, heading))
         reading = Measurement(jnp.array([1.0, 0.0]))
         moments = filter.update(Gnss(std=0.5), belief, reading, key)[0].moments()
         return moments.mean.heading - centre, moments.cov

@@ -65,7 +65,7 @@ def case(size, count, measured):
     root = rng.normal(size=(measured, measured)) + 2 * np.eye(measured)
     sensor = Components(size=max(size, 1), indices=PLACES[measured], std=0.7)
     reading = sensor.measures(jnp.asarray(rng.normal(size=measured)))
-    belief = Ensemble(class_of(size)(jnp.asarray(members)))
+    belief = Ensemble.of(class_of(size)(jnp.asarray(members)))
     return belief, sensor, Correlated(sensor, jnp.asarray(root @ root.T)), reading
 
 
@@ -187,7 +187,7 @@ def test_missing_components_change_nothing(key):
 def test_an_ensemble_without_spread_refuses_readings(count, key):
     """It cannot learn, and says so; nothing becomes NaN."""
     sensor = Components(size=4)
-    belief = Ensemble(ring(4)(jnp.ones((count, 4))))
+    belief = Ensemble.of(ring(4)(jnp.ones((count, 4))))
     reading = sensor.measures(jnp.zeros(4))
     found = updates([sensor], rotation=True)(belief, reading, key)
     for name in NAMES:
@@ -203,7 +203,7 @@ def test_deterministic_noise_adds_its_covariance(count, key):
     vehicle, dt = ConstantVelocity(acceleration_noise=0.5), 0.3
     rng = np.random.default_rng(count)
     members = rng.normal(size=(count, 4)) @ rng.normal(size=(4, 4))
-    belief = Ensemble(Planar(jnp.asarray(members[:, :2]), jnp.asarray(members[:, 2:])))
+    belief = Ensemble.of(Planar(jnp.asarray(members[:, :2]), jnp.asarray(members[:, 2:])))
     make = ft.partial(filters.make, "etkf", count=count)
 
     def run(belief, key):
@@ -223,7 +223,7 @@ def test_deterministic_noise_adds_its_covariance(count, key):
 def test_noise_that_is_not_spanned_is_drawn(key):
     """From members that are all alike, with noise about the mean: not lost, and centred."""
     vehicle = Lorenz96(size=6, process_noise=0.1)
-    belief = Ensemble(ring(6)(jnp.ones((4000, 6))))
+    belief = Ensemble.of(ring(6)(jnp.ones((4000, 6))))
     filter = filters.make("denkf", count=4000, noise="deterministic")
     found = quick_jit(
         lambda key: filter.predict(vehicle, belief, vehicle.drive(0.0), 1e-4, key).moments()

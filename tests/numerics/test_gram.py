@@ -10,24 +10,24 @@ from kedge.testing import quick_jit
 
 
 @pytest.mark.parametrize("shape", [(3, 7), (7, 3), (5, 5)])
-def test_symmetric_root_and_push(shape):
+def test_symmetric_root_and_pull(shape):
     rng = np.random.default_rng(1)
-    factor, rows = rng.normal(size=shape), rng.normal(size=(shape[0], 9))
-    right = rng.normal(size=(shape[1], 2))
-    square = factor @ factor.T
+    factor, columns = rng.normal(size=shape), rng.normal(size=(9, shape[1]))
+    left = rng.normal(size=(2, shape[0]))
+    square = factor.T @ factor
 
     def both(factor):
         found = gram(factor)
         root = found.applied(
-            lambda v: jnp.sqrt(1 + v), lambda v: 1 / (1 + jnp.sqrt(1 + v)), jnp.asarray(rows)
+            lambda v: jnp.sqrt(1 + v), lambda v: 1 / (1 + jnp.sqrt(1 + v)), jnp.asarray(columns)
         )
-        return root, found.pushed(lambda v: 1 / (1 + v), jnp.asarray(right))
+        return root, found.pulled(lambda v: 1 / (1 + v), jnp.asarray(left))
 
-    root, pushed = quick_jit(both)(factor)
-    expected = scipy.linalg.sqrtm(np.eye(shape[0]) + square) @ rows
+    root, pulled = quick_jit(both)(factor)
+    expected = columns @ scipy.linalg.sqrtm(np.eye(shape[1]) + square)
     np.testing.assert_allclose(root, expected, atol=1e-12)
-    expected = np.linalg.solve(np.eye(shape[0]) + square, factor @ right)
-    np.testing.assert_allclose(pushed, expected, atol=1e-12)
+    expected = left @ factor @ np.linalg.inv(np.eye(shape[1]) + square)
+    np.testing.assert_allclose(pulled, expected, atol=1e-12)
 
 
 def test_rank_counts_what_is_there():

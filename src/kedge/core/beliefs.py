@@ -1,12 +1,13 @@
 """Beliefs: what a filter carries between measurements. Each can report its moments."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from kedge.core.manifolds import Euclidean, space
+from kedge.core.manifolds import Chart, Euclidean, space
 from kedge.core.rotations import Scalar
 
 State = Any
@@ -41,24 +42,91 @@ class Belief(Protocol):
 
 
 class Ensemble(NamedTuple):
-    """Equally weighted states; every leaf has a leading member axis."""
+    """Equally weighted states.
 
-    members: State
+    They lie side by side, so that the vector units work on many members at once: every leaf
+    has its members on the last axis, one component of the state after the other.
+    """
+
+    columns: State
+
+    @classmethod
+    def of(cls, members: State) -> "Ensemble":
+        """From states whose leaves have a leading member axis."""
+        shapes = [chart.shape for chart in space(members).charts]
+        parts = [
+            jnp.moveaxis(leaf, -1 - len(shape), -1)
+            for leaf, shape in zip(members, shapes, strict=True)
+        ]
+        return cls(type(members)(*parts))
+
+    @property
+    def members(self) -> State:
+        """The states, every leaf with a leading member axis."""
+        shapes = [chart.shape for chart in space(self.columns).charts]
+        parts = [
+            jnp.moveaxis(leaf, -1, -1 - len(shape))
+            for leaf, shape in zip(self.columns, shapes, strict=True)
+        ]
+        return type(self.columns)(*parts)
 
     def moments(self) -> Gaussian:
         """Sample mean, and sample covariance with the unbiased divisor N - 1."""
         mean, anomalies = self.centred()
-        return Gaussian(mean, anomalies.T @ anomalies / (anomalies.shape[0] - 1))
+        return Gaussian(mean, anomalies @ anomalies.T / (anomalies.shape[1] - 1))
 
-    def centred(self) -> tuple[State, Float[Array, "N n"]]:
-        """Sample mean, and the anomalies: the tangent vectors from it to the members."""
-        leaf = jax.tree.leaves(self.members)[0]
-        count = leaf.shape[0]
-        return centred(self.members, jnp.full((count,), 1 / count, leaf.dtype))
+    def centred(self) -> tuple[State, Float[Array, "n N"]]:
+        r"""Sample mean, and the anomalies: the tangent vectors from it to the members.
+
+        The mean of each quantity is the fixed point of $\bar x \leftarrow \bar x \boxplus
+        \tfrac1N \sum_i (x_i \boxminus \bar x)$; three sweeps from the first member suffice
+        for the spreads that a filter produces, and one where the space is flat.
+        """
+        parts, spreads = [], []
+        for chart, column in zip(space(self.columns).charts, self.columns, strict=True):
+            mean = column[..., 0]
+            for _ in range(1 if isinstance(chart, Euclidean) else 3):
+                mean = chart.boxplus(mean, jnp.mean(_minus(chart, column, mean), axis=-1))
+            parts.append(mean)
+            spreads.append(_minus(chart, column, mean))
+        return type(self.columns)(*parts), jnp.concatenate(spreads)
 
     def widened(self, factor: Scalar) -> "Ensemble":
         """The anomalies multiplied by the root of ``factor``."""
-        return Ensemble(_stretched(self.members, self.moments().mean, factor))
+        mean, anomalies = self.centred()
+        return Ensemble.around(mean, jnp.sqrt(factor) * anomalies)
+
+    @classmethod
+    def around(cls, mean: State, anomalies: Float[Array, "n N"]) -> "Ensemble":
+        """Members at these tangent vectors from ``mean``."""
+        states, parts = space(mean), []
+        cuts = states.slices().values()
+        for chart, point, cut in zip(states.charts, mean, cuts, strict=True):
+            parts.append(_plus(chart, jnp.asarray(point), anomalies[cut]))
+        return cls(type(mean)(*parts))
+
+
+def _minus(chart: Chart, column: Array, base: Array) -> Float[Array, "n N"]:
+    """Tangent vectors from ``base`` to members; where it is flat without a call for each."""
+    if isinstance(chart, Euclidean):
+        return (column - base[..., None]).reshape(chart.size, column.shape[-1])
+    return members_wise(chart.boxminus, shared=1)(column, base)
+
+
+def _plus(chart: Chart, base: Array, deltas: Float[Array, "n N"]) -> Array:
+    if isinstance(chart, Euclidean):
+        return base[..., None] + deltas.reshape(*chart.shape, deltas.shape[-1])
+    return jax.vmap(chart.boxplus, (None, -1), -1)(base, deltas)
+
+
+def members_wise(function: Callable[..., Any], shared: int = 0) -> Callable[..., Any]:
+    """``function`` for each member of columns; the last ``shared`` arguments are the same."""
+
+    def call(*arguments: Any) -> Any:
+        own = len(arguments) - shared
+        return jax.vmap(function, (-1,) * own + (None,) * shared, -1)(*arguments)
+
+    return call
 
 
 class LastStep(NamedTuple):

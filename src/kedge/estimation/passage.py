@@ -105,24 +105,23 @@ def _still(filter: AbstractFilter, belief: Any) -> History | EnsembleHistory:
 
 
 def _ensemble_history(before: Ensemble, after: Ensemble) -> EnsembleHistory:
-    r"""$A (A^-)^+ = A\,((A^-)^\top A^-)^+ (A^-)^\top$ by rows, in the smaller space.
+    r"""$A (A^-)^+ = A\,((A^-)^\top A^-)^+ (A^-)^\top$, in the smaller space.
 
     Source: P. Raanes, "On the ensemble Rauch-Tung-Striebel smoother and its equivalence to the
     ensemble Kalman smoother", Q. J. R. Meteorol. Soc. 142, 2016.
     """
     _, past = before.centred()
     mean, anomalies = after.centred()
-    cov = anomalies.T @ anomalies / (anomalies.shape[0] - 1)
-    inverse = _pseudo_inverse(anomalies)
-    return EnsembleHistory(Gaussian(mean, cov), past.T @ inverse.T)
+    cov = anomalies @ anomalies.T / (anomalies.shape[1] - 1)
+    return EnsembleHistory(Gaussian(mean, cov), past @ _pseudo_inverse(anomalies))
 
 
-def _pseudo_inverse(anomalies: Float[Array, "N n"]) -> Float[Array, "n N"]:
+def _pseudo_inverse(anomalies: Float[Array, "n N"]) -> Float[Array, "N n"]:
     parts = gram(anomalies)
     kept = parts.rank() > 0
     inverse = jnp.where(kept, 1 / jnp.where(kept, parts.values, 1.0), 0.0)
     middle = (parts.vectors * inverse[None]) @ parts.vectors.T
-    return anomalies.T @ middle if parts.by_row else middle @ anomalies.T
+    return middle @ anomalies.T if parts.by_column else anomalies.T @ middle
 
 
 def innermost(filter: AbstractFilter) -> AbstractFilter:

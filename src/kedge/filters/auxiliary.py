@@ -66,7 +66,7 @@ class AuxiliaryParticle(AbstractParticleFilter):
         def second_stage() -> tuple[Any, Any]:
             chosen = SCHEMES[self.resampling](choose_key, first)
             before = jax.tree.map(lambda leaf: leaf[chosen], last.before)
-            states = jax.vmap(step)(before, draws(draw_key, self.count, std))
+            states = jax.vmap(step, (0, 1))(before, draws(draw_key, self.count, std))
             seen = look(model, states, measurement).log_likelihood
             return states, seen - centre[chosen] + evidence - jnp.log(self.count)
 

@@ -139,7 +139,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         last = None
         if self.looks_back:
             last = LastStep(belief.states, *_as_carried((vehicle, control, dt)))
-        return belief._replace(states=jax.vmap(step)(belief.states, noise), last=last)
+        return belief._replace(states=jax.vmap(step, (0, 1))(belief.states, noise), last=last)
 
     def update(
         self,

@@ -1,6 +1,5 @@
 """Deterministic ensemble Kalman filter of Sakov and Oke."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -24,13 +23,13 @@ class DeterministicEnsembleKalman(AbstractEnsembleFilter):
     def analyse(
         self,
         white: Whitened,
-        anomalies: Float[Array, "N n"],
+        anomalies: Float[Array, "n N"],
         distances: Float[np.ndarray, "m n"] | None,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"], Evidence]:
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"], Evidence]:
         """Regress the mean residual, and the anomalies by half."""
         del key
         solved = regression(white, distances, self.radius)
-        rows = jnp.concatenate([white.residual[None], -white.spread / 2])
-        moves = solved.regress(rows, anomalies)
-        return moves[0], anomalies + moves[1:], solved.evidence()
+        move = solved.regressor(anomalies)
+        moved = anomalies - move(white.spread / 2)
+        return move(white.residual[:, None])[:, 0], moved, solved.evidence()

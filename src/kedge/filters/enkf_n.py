@@ -20,7 +20,7 @@ class FiniteSizeEnsembleKalman(AbstractTransform):
 
     With the true moments integrated out, the prior anomalies are to be multiplied by the
     $\lambda$ that minimises the dual cost
-    $D(\lambda) = d^\top (I + \lambda^2 Y^\top Y)^{-1} d + (N - 1)\,\epsilon / \lambda^2 +
+    $D(\lambda) = d^\top (I + \lambda^2 Y Y^\top)^{-1} d + (N - 1)\,\epsilon / \lambda^2 +
     c \ln \lambda^2$ with $\epsilon = 1 + 1/N$ and $c = N$, both shifted so that a reading that
     says nothing asks for $\lambda = 1$; then follows the update of ``etkf``. So inflation need
     not be tuned, as long as the model is right; ``inflation`` comes on top of it, for models
@@ -51,7 +51,7 @@ class FiniteSizeEnsembleKalman(AbstractTransform):
         self, found: Gram, squares: Float[Array, " k"]
     ) -> Float[Array, ""] | float:
         """Where the dual cost is least."""
-        count, values = found.factor.shape[0], found.values
+        count, values = found.factor.shape[1], found.values
         epsilon, weight = (count - 1) * (1 + 1 / count), float(count)
         # Where the reading says nothing the mode is to be 1, not below.
         uninformed = (jnp.sum(1 / (1 + values)) + count - values.shape[0]) / count

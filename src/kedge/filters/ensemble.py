@@ -30,18 +30,18 @@ class EnsembleKalman(AbstractEnsembleFilter):
     def analyse(
         self,
         white: Whitened,
-        anomalies: Float[Array, "N n"],
+        anomalies: Float[Array, "n N"],
         distances: Float[np.ndarray, "m n"] | None,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"], Evidence]:
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"], Evidence]:
         """Regress every member's own residual."""
         solved = regression(white, distances, self.radius)
         normal = (self.count - 1) ** 0.5
         noise = normals(key, white.spread.shape, white.spread.dtype) / normal
-        if self.centred:
-            noise = noise - jnp.mean(noise, axis=0)[None]
-        rows = jnp.concatenate([white.residual[None], noise - white.spread])
-        moves = solved.regress(rows, anomalies)
-        moved = anomalies + moves[1:]
-        drift = jnp.mean(moved, axis=0)
-        return moves[0] + drift * normal, moved - drift[None], solved.evidence()
+        move = solved.regressor(anomalies)
+        shift = move(white.residual[:, None])[:, 0]
+        moved = anomalies + move(noise - white.spread)
+        drift = jnp.mean(moved, axis=1)
+        # All that perturbations centred before would change is this mean.
+        shift = shift if self.centred else shift + drift * normal
+        return shift, moved - drift[:, None], solved.evidence()

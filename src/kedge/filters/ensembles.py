@@ -9,12 +9,11 @@ import math
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Ensemble, Gaussian
+from kedge.core.beliefs import Ensemble, Gaussian, members_wise
 from kedge.core.contracts import (
     AbstractFilter,
     AbstractMeasurementModel,
@@ -78,10 +77,10 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
     def analyse(
         self,
         white: Whitened,
-        anomalies: Float[Array, "N n"],
+        anomalies: Float[Array, "n N"],
         distances: Float[np.ndarray, "m n"] | None,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"], Evidence]:
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"], Evidence]:
         r"""The shift of the mean, the new anomalies, and how the residual fits.
 
         The anomalies are divided by $\sqrt{N - 1}$ on either side; ``distances`` are there if
@@ -91,9 +90,8 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Ensemble:
         """Draw the members from the prior."""
         states = space(prior.mean)
-        white = normals(key, (self.count, states.size), prior.cov.dtype)
-        errors = correlated(white, prior.cov)
-        return Ensemble(jax.vmap(states.boxplus, (None, 0))(prior.mean, errors))
+        white = normals(key, (states.size, self.count), prior.cov.dtype)
+        return Ensemble.around(prior.mean, correlated(white, prior.cov))
 
     def predict(
         self,
@@ -112,7 +110,8 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
 
         if self.noise == "deterministic":
             return with_noise(step, belief, std, key)
-        return Ensemble(jax.vmap(step)(belief.members, draws(key, self.count, std)))
+        noise = draws(key, self.count, std)
+        return Ensemble(members_wise(step)(belief.columns, noise))
 
     def update(
         self,
@@ -128,11 +127,10 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
         Raises:
             ContractError: the filter has a radius, and the model no distances.
         """
-        states = space(belief.members)
         distances = self._distances(model, belief)
         analyse_key, turn_key = split(key)
         mean, anomalies = belief.centred()
-        expected, spread = Ensemble(jax.vmap(model.expect)(belief.members)).centred()
+        expected, spread = Ensemble(members_wise(model.expect)(belief.columns)).centred()
         residual = space(measurement).boxminus(measurement, expected)
 
         white = whiten(model, mean, residual, spread)
@@ -140,18 +138,18 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
         shift, moved, evidence = self.analyse(white, anomalies / normal, distances, analyse_key)
         moved = moved * (normal * self.inflation)
         if self.rotation:
-            moved = rotation(turn_key, self.count, moved.dtype) @ moved
-        members = jax.vmap(states.boxplus, (None, 0))(mean, shift[None] + moved)
+            moved = moved @ rotation(turn_key, self.count, moved.dtype)
+        after = Ensemble.around(mean, shift[:, None] + moved)
 
         score = scored(residual, white, evidence, model.dof())
-        return Ensemble(members), score._replace(accepted=jnp.any(anomalies != 0))
+        return after, score._replace(accepted=jnp.any(anomalies != 0))
 
     def _distances(
         self, model: AbstractMeasurementModel, belief: Ensemble
     ) -> Float[np.ndarray, "m n"] | None:
         if math.isinf(self.radius):
             return None
-        distances = model.distances(belief.members)
+        distances = model.distances(belief.columns)
         if distances is None:
             raise ContractError(
                 f"{filters.name_of(type(self))}: radius is {self.radius:g}, but "

@@ -15,8 +15,8 @@ from kedge.numerics.localisation import between, gaspari_cohn
 class SerialEnsembleKalman(AbstractEnsembleFilter):
     r"""Potter's square root update for each white component of the measurement in turn.
 
-    With $y$ its anomalies, $s = y^\top y$, $\delta$ its residual and $k = A^\top y / (1 + s)$:
-    $\bar x^+ = \bar x + k \delta$, $A^+ = A - y k^\top / (1 + 1 / \sqrt{1 + s})$; the
+    With $y$ its anomalies, $s = y^\top y$, $\delta$ its residual and $k = A y / (1 + s)$:
+    $\bar x^+ = \bar x + k \delta$, $A^+ = A - k y^\top / (1 + 1 / \sqrt{1 + s})$; the
     components still to come are updated in the same way. Correlated noise is whitened first.
 
     Mean and covariance are those of ``etkf``; the members differ. No matrix is decomposed,
@@ -30,19 +30,19 @@ class SerialEnsembleKalman(AbstractEnsembleFilter):
     def analyse(
         self,
         white: Whitened,
-        anomalies: Float[Array, "N n"],
+        anomalies: Float[Array, "n N"],
         distances: Float[np.ndarray, "m n"] | None,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"], Evidence]:
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"], Evidence]:
         """Sweep over the components in their order."""
         del key
-        count, size = anomalies.shape
-        measured = white.spread.shape[1]
+        size, count = anomalies.shape
+        measured = white.spread.shape[0]
         if distances is None and count < size + measured:
             weights, transform, nis, log_det = _in_ensemble_space(white)
-            shift, moved = weights @ anomalies, transform @ anomalies
+            shift, moved = anomalies @ weights, anomalies @ transform.T
         else:
-            joint = jnp.concatenate([anomalies, white.spread], axis=1).T
+            joint = jnp.concatenate([anomalies, white.spread])
             taper = None
             if distances is not None:
                 both = np.concatenate([distances, between(distances)], axis=1)
@@ -53,7 +53,7 @@ class SerialEnsembleKalman(AbstractEnsembleFilter):
 
 def _in_ensemble_space(white: Whitened) -> tuple[Array, Array, Array, Array]:
     """The sweep on combinations of the first anomalies: weights of the mean, transform."""
-    d, Y = white.residual, white.spread.T
+    d, Y = white.residual, white.spread
     zero = jnp.zeros((), d.dtype)
 
     def component(j, carry):
@@ -90,4 +90,4 @@ def _jointly(
 
     start = joint, jnp.zeros(joint.shape[0], joint.dtype), zero, zero
     joint, shift, nis, log_det = lax.fori_loop(0, measured, component, start)
-    return shift[:size], joint[:size].T, nis, log_det
+    return shift[:size], joint[:size], nis, log_det

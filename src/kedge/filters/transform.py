@@ -15,9 +15,9 @@ from kedge.numerics.localisation import neighbourhoods
 
 
 class AbstractTransform(AbstractEnsembleFilter):
-    r"""$\bar x^+ = \bar x + w A,\quad A^+ = (I + Y Y^\top)^{-1/2} A$.
+    r"""$\bar x^+ = \bar x + A w,\quad A^+ = A (I + Y^\top Y)^{-1/2}$.
 
-    $w = (I + Y Y^\top)^{-1} Y d$, with everything white and normalised as in
+    $w = (I + Y^\top Y)^{-1} Y^\top d$, with everything white and normalised as in
     :mod:`kedge.numerics.ensemble`. Among all square roots the symmetric one keeps the mean of
     the anomalies zero and moves the members least.
 
@@ -43,10 +43,10 @@ class AbstractTransform(AbstractEnsembleFilter):
     def analyse(
         self,
         white: Whitened,
-        anomalies: Float[Array, "N n"],
+        anomalies: Float[Array, "n N"],
         distances: Float[np.ndarray, "m n"] | None,
         key: PRNGKeyArray,
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"], Evidence]:
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"], Evidence]:
         """Transform all components alike, or each with its own neighbourhood."""
         del key
         if distances is None:
@@ -57,42 +57,38 @@ class AbstractTransform(AbstractEnsembleFilter):
         near = neighbourhoods(distances, self.radius)
         weights = jnp.asarray(np.sqrt(near.weight), white.spread.dtype)
 
-        def local(index, weight, column):
-            found = gram(white.spread[:, index] * weight[None])
-            shift, moved = self._transformed(
-                found, white.residual[index] * weight, column[:, None]
-            )
-            return shift[0], moved[:, 0]
+        def local(index, weight, row):
+            found = gram(white.spread[index] * weight[:, None])
+            shift, moved = self._transformed(found, white.residual[index] * weight, row[None])
+            return shift[0], moved[0]
 
-        shift, moved = jax.vmap(local, (0, 0, 1), (0, 1))(
-            jnp.asarray(near.places), weights, anomalies
-        )
+        shift, moved = jax.vmap(local)(jnp.asarray(near.places), weights, anomalies)
         # One decomposition after the other: batches of them at once can lock up the CPU's pool.
         spread, shift, moved = lax.optimization_barrier((white.spread, shift, moved))
         return shift, moved, _evidence(gram(spread), white)
 
     def _transformed(
-        self, found: Gram, residual: Float[Array, " m"], anomalies: Float[Array, "N n"]
-    ) -> tuple[Float[Array, " n"], Float[Array, "N n"]]:
+        self, found: Gram, residual: Float[Array, " m"], anomalies: Float[Array, "n N"]
+    ) -> tuple[Float[Array, " n"], Float[Array, "n N"]]:
         squares, _ = _coordinates(found, residual)
         inflation = self.prior_inflation(found, squares)
         found, anomalies = found.scaled(inflation), anomalies * inflation
-        weights = found.pushed(lambda v: 1 / (1 + v), residual[:, None])[:, 0]
+        weights = found.pulled(lambda v: 1 / (1 + v), residual[None])[0]
         moved = found.applied(
             lambda v: 1 / jnp.sqrt(1 + v),
             lambda v: -1 / (jnp.sqrt(1 + v) * (1 + jnp.sqrt(1 + v))),
             anomalies,
         )
-        return weights @ anomalies, moved
+        return anomalies @ weights, moved
 
 
 def _coordinates(
     found: Gram, residual: Float[Array, " m"]
 ) -> tuple[Float[Array, " k"], Float[Array, ""]]:
     """The residual's squared coordinates along the spectrum, and the square of the rest."""
-    if not found.by_row:
+    if not found.by_column:
         return (found.vectors.T @ residual) ** 2, jnp.zeros((), residual.dtype)
-    along = (found.vectors.T @ (found.factor @ residual)) ** 2
+    along = (found.vectors.T @ (residual @ found.factor)) ** 2
     there = found.rank() > 0
     squares = jnp.where(there, along / jnp.where(there, found.values, 1.0), 0.0)
     return squares, jnp.maximum(residual @ residual - jnp.sum(squares), 0.0)

@@ -1,11 +1,13 @@
 r"""Linear algebra of ensemble filters, in the space where the measurement noise is white.
 
-Everywhere here Y holds the expected measurements' anomalies, one row a member, divided by
+Everywhere here Y holds the expected measurements' anomalies, one column a member, divided by
 $\sqrt{N - 1}$ and by the root of R, and d the mean residual divided by the latter: the
-innovation covariance is $I + Y^\top Y$. Factorisations are done in the smaller of ensemble
+innovation covariance is $I + Y Y^\top$. Factorisations are done in the smaller of ensemble
 and measurement space, so nothing is ever formed of the size of the state squared.
 """
 
+import functools as ft
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,6 +27,7 @@ from kedge.numerics.linalg import (
 from kedge.numerics.localisation import between, gaspari_cohn
 from kedge.numerics.random import normals
 
+Move = Callable[[Float[Array, "m k"]], Float[Array, "n k"]]
 LOOPED = 128
 """Up to here a triangle is inverted by a loop of kedge's own."""
 
@@ -33,7 +36,7 @@ class Whitened(NamedTuple):
     """What the ensemble expected of a measurement, in units of its noise."""
 
     residual: Float[Array, " m"]
-    spread: Float[Array, "N m"]
+    spread: Float[Array, "m N"]
     colour: Callable[[Float[Array, "m m"]], Float[Array, "m m"]]
     """Puts a covariance of white components back into the measurement's units."""
     log_det: Float[Array, ""]
@@ -54,34 +57,37 @@ def whiten(
     model: AbstractMeasurementModel,
     mean: Any,
     residual: Float[Array, " m"],
-    spread: Float[Array, "N m"],
+    spread: Float[Array, "m N"],
 ) -> Whitened:
     """Divide by the root of R at the state ``mean``.
 
     Correlated noise is divided by its Cholesky factor; a white component then keeps the place
     of the measured component of the same index.
     """
-    spread = spread / (spread.shape[0] - 1) ** 0.5
+    spread = spread / (spread.shape[1] - 1) ** 0.5
     variance = model.noise_variance(mean)
     if variance is not None:
         std = jnp.sqrt(variance)
         log_det = jnp.sum(jnp.log(variance))
         return Whitened(
-            residual / std, spread / std[None], lambda S: std[:, None] * S * std[None], log_det
+            residual / std,
+            spread / std[:, None],
+            lambda S: std[:, None] * S * std[None],
+            log_det,
         )
     root = cholesky(model.noise_cov(mean))
     return Whitened(
         solve_lower(root, residual),
-        solve_lower(root, spread.T).T,
+        solve_lower(root, spread),
         lambda S: root @ S @ root.T,
         2 * jnp.sum(jnp.log(jnp.diag(root))),
     )
 
 
 def innovation_cov(white: Whitened) -> Float[Array, "m m"]:
-    r"""$I + Y^\top Y$."""
+    r"""$I + Y Y^\top$."""
     Y = white.spread
-    return jnp.eye(Y.shape[1], dtype=Y.dtype) + Y.T @ Y
+    return jnp.eye(Y.shape[0], dtype=Y.dtype) + Y @ Y.T
 
 
 def scored(
@@ -95,7 +101,7 @@ def scored(
 
 
 class Factor(NamedTuple):
-    r"""Cholesky factor of $I + Y^\top Y$, or of $I + Y Y^\top$ if that is smaller.
+    r"""Cholesky factor of $I + Y Y^\top$, or of $I + Y^\top Y$ if that is smaller.
 
     Source: G. Evensen, "The ensemble Kalman filter: theoretical formulation and practical
     implementation", Ocean Dynamics 53, 2003; J. Mandel, "Efficient implementation of the
@@ -107,27 +113,26 @@ class Factor(NamedTuple):
 
     @property
     def _by_member(self) -> bool:
-        count, measured = self.white.spread.shape
+        measured, count = self.white.spread.shape
         return count < measured
 
-    def regress(
-        self, rows: Float[Array, "k m"], anomalies: Float[Array, "N n"]
-    ) -> Float[Array, "k n"]:
-        r"""$D (I + Y^\top Y)^{-1} Y^\top A$: what white residuals D move the state by.
+    def regressor(self, anomalies: Float[Array, "n N"]) -> Move:
+        r"""$D \mapsto A Y^\top (I + Y Y^\top)^{-1} D$: what white residuals move the state by.
 
         A is divided by the root of N - 1 as Y is.
         """
         Y = self.white.spread
         if self._by_member:
-            weights = _solve(self.root, Y @ rows.T)
-            return weights.T @ anomalies
-        return rows @ _solve(self.root, Y.T @ anomalies)
+            solve = _solver(self.root)
+            return lambda columns: anomalies @ solve(Y.T @ columns)
+        gain = _solver(self.root)(Y @ anomalies.T).T
+        return lambda columns: times(gain, columns)
 
     def evidence(self) -> Evidence:
         """Of the mean residual."""
         d, Y = self.white.residual, self.white.spread
         if self._by_member:
-            explained = solve_lower(self.root, Y @ d)
+            explained = solve_lower(self.root, d @ Y)
             nis = jnp.maximum(d @ d - explained @ explained, 0.0)
         else:
             white = solve_lower(self.root, d)
@@ -137,7 +142,7 @@ class Factor(NamedTuple):
 
 
 class Tapered(NamedTuple):
-    r"""Cholesky factor of $S = I + \rho \circ Y^\top Y$, correlations tapered by distance.
+    r"""Cholesky factor of $S = I + \rho \circ Y Y^\top$, correlations tapered by distance.
 
     Source: P. Houtekamer, H. Mitchell, "A sequential ensemble Kalman filter for atmospheric
     data assimilation", Mon. Weather Rev. 129, 2001.
@@ -148,12 +153,11 @@ class Tapered(NamedTuple):
     root: Float[Array, "m m"]
     taper: Float[np.ndarray, "m n"]
 
-    def regress(
-        self, rows: Float[Array, "k m"], anomalies: Float[Array, "N n"]
-    ) -> Float[Array, "k n"]:
-        r"""$D S^{-1} (\rho \circ Y^\top A)$."""
-        cross = jnp.asarray(self.taper, rows.dtype) * (self.white.spread.T @ anomalies)
-        return rows @ _solve(self.root, cross)
+    def regressor(self, anomalies: Float[Array, "n N"]) -> Move:
+        r"""$D \mapsto (\rho \circ A Y^\top) S^{-1} D$."""
+        cross = jnp.asarray(self.taper, anomalies.dtype) * (self.white.spread @ anomalies.T)
+        gain = _solver(self.root)(cross).T
+        return lambda columns: times(gain, columns)
 
     def evidence(self) -> Evidence:
         """Of the mean residual."""
@@ -168,28 +172,36 @@ def regression(
     Y = white.spread
     if distances is not None:
         taper = jnp.asarray(gaspari_cohn(between(distances), radius), Y.dtype)
-        cov = jnp.eye(Y.shape[1], dtype=Y.dtype) + taper * (Y.T @ Y)
+        cov = jnp.eye(Y.shape[0], dtype=Y.dtype) + taper * (Y @ Y.T)
         return Tapered(white, cov, cholesky(cov), gaspari_cohn(distances, radius))
-    square = Y @ Y.T if Y.shape[0] < Y.shape[1] else Y.T @ Y
+    square = Y.T @ Y if Y.shape[1] < Y.shape[0] else Y @ Y.T
     return Factor(white, cholesky(jnp.eye(square.shape[0], dtype=Y.dtype) + square))
 
 
-def _solve(root: Float[Array, "k k"], right: Float[Array, "k n"]) -> Float[Array, "k n"]:
-    r"""Solve $L L^\top X = B$ for many columns.
+def times(matrix: Float[Array, "n m"], columns: Float[Array, "m k"]) -> Float[Array, "n k"]:
+    """The product; of a small matrix with many columns as a loop over these."""
+    if not 0 < matrix.shape[1] <= UNROLLED:
+        return matrix @ columns
+    terms = (matrix[:, i, None] * columns[i][None] for i in range(matrix.shape[1]))
+    return ft.reduce(operator.add, terms)
+
+
+def _solver(root: Float[Array, "k k"]) -> Callable[[Float[Array, "k n"]], Float[Array, "k n"]]:
+    r"""Solves $L L^\top X = B$ for many columns.
 
     For middling sizes L is inverted row by row: the library splits its substitution among
     threads even there, which on a busy machine takes a hundred times as long.
     """
     size = root.shape[0]
     if not UNROLLED < size <= LOOPED:
-        return solve_lower_transposed(root, solve_lower(root, right))
+        return lambda right: solve_lower_transposed(root, solve_lower(root, right))
 
     def row(i: Array, inverse: Float[Array, "k k"]) -> Float[Array, "k k"]:
         rest = jnp.where(jnp.arange(size) == i, 1.0, 0.0).astype(root.dtype) - root[i] @ inverse
         return inverse.at[i].set(rest / root[i, i])
 
     inverse = lax.fori_loop(0, size, row, jnp.zeros_like(root))
-    return inverse.T @ (inverse @ right)
+    return lambda right: inverse.T @ (inverse @ right)
 
 
 def rotation(key: PRNGKeyArray, count: int, dtype: Any) -> Float[Array, "N N"]:

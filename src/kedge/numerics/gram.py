@@ -1,4 +1,4 @@
-r"""Functions of $Y Y^\top$ for tall or wide Y, decomposed in the smaller of its two spaces."""
+r"""Functions of $Y^\top Y$ for tall or wide Y, decomposed in the smaller of its two spaces."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,20 +8,20 @@ from jaxtyping import Array, Float
 
 
 class Gram(NamedTuple):
-    r"""Eigenvalues and vectors of $Y Y^\top$, or of $Y^\top Y$ where that is smaller.
+    r"""Eigenvalues and vectors of $Y^\top Y$, or of $Y Y^\top$ where that is smaller.
 
     The eigenvalues that differ from zero are the same.
     """
 
-    factor: Float[Array, "N m"]
+    factor: Float[Array, "m N"]
     values: Float[Array, " k"]
     vectors: Float[Array, "k k"]
 
     @property
-    def by_row(self) -> bool:
-        """Whether the vectors belong to the rows of Y."""
-        count, width = self.factor.shape
-        return count <= width
+    def by_column(self) -> bool:
+        """Whether the vectors belong to the columns of Y."""
+        height, count = self.factor.shape
+        return count <= height
 
     def scaled(self, scale: Float[Array, ""] | float) -> "Gram":
         """That of Y multiplied by ``scale``."""
@@ -31,24 +31,24 @@ class Gram(NamedTuple):
         self,
         function: Callable[[Array], Array],
         slope: Callable[[Array], Array],
-        rows: Float[Array, "N k"],
-    ) -> Float[Array, "N k"]:
-        r"""$f(Y Y^\top) X$ for $f(0) = 1$, with ``slope`` $= (f(l) - 1) / l$."""
-        if self.by_row:
+        columns: Float[Array, "k N"],
+    ) -> Float[Array, "k N"]:
+        r"""$X f(Y^\top Y)$ for $f(0) = 1$, with ``slope`` $= (f(l) - 1) / l$."""
+        if self.by_column:
             weighted = self.vectors * function(self.values)[None]
-            if rows.shape[1] > rows.shape[0]:
-                return (weighted @ self.vectors.T) @ rows
-            return weighted @ (self.vectors.T @ rows)
-        across = self.factor @ self.vectors
-        return rows + across @ (slope(self.values)[:, None] * (across.T @ rows))
+            if columns.shape[0] > columns.shape[1]:
+                return columns @ (weighted @ self.vectors.T)
+            return (columns @ weighted) @ self.vectors.T
+        across = self.vectors.T @ self.factor
+        return columns + ((columns @ across.T) * slope(self.values)[None]) @ across
 
-    def pushed(
-        self, function: Callable[[Array], Array], right: Float[Array, "m k"]
-    ) -> Float[Array, "N k"]:
-        r"""$f(Y Y^\top) Y X$, which is $Y f(Y^\top Y) X$."""
-        inner = self.factor @ right if self.by_row else right
-        inner = self.vectors @ (function(self.values)[:, None] * (self.vectors.T @ inner))
-        return inner if self.by_row else self.factor @ inner
+    def pulled(
+        self, function: Callable[[Array], Array], left: Float[Array, "k m"]
+    ) -> Float[Array, "k N"]:
+        r"""$X Y f(Y^\top Y)$, which is $X f(Y Y^\top) Y$."""
+        inner = left @ self.factor if self.by_column else left
+        inner = ((inner @ self.vectors) * function(self.values)[None]) @ self.vectors.T
+        return inner if self.by_column else inner @ self.factor
 
     def rank(self) -> Float[Array, " k"]:
         """1 for the eigenvalues that are more than rounding, 0 for the others."""
@@ -56,9 +56,9 @@ class Gram(NamedTuple):
         return jnp.where(self.values > rounding * jnp.max(self.values), 1.0, 0.0)
 
 
-def gram(factor: Float[Array, "N m"]) -> Gram:
+def gram(factor: Float[Array, "m N"]) -> Gram:
     """Decompose in the smaller space."""
-    count, width = factor.shape
-    square = factor @ factor.T if count <= width else factor.T @ factor
+    height, count = factor.shape
+    square = factor.T @ factor if count <= height else factor @ factor.T
     values, vectors = jnp.linalg.eigh(square)
     return Gram(factor, jnp.maximum(values, 0.0), vectors)

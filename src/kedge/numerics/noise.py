@@ -19,29 +19,29 @@ def process_std(vehicle: AbstractVehicle, dt: Scalar) -> Float[Array, " w"]:
     return space(density).flatten(density) / jnp.sqrt(dt)
 
 
-def draws(key: PRNGKeyArray, count: int, std: Float[Array, " w"]) -> Float[Array, "N w"]:
-    """``count`` normal vectors of these standard deviations.
+def draws(key: PRNGKeyArray, count: int, std: Float[Array, " w"]) -> Float[Array, "w N"]:
+    """``count`` normal vectors of these standard deviations, side by side.
 
     A model without noise costs no random numbers, which for large ensembles take longer than
     the model does.
     """
 
-    def sample() -> Float[Array, "N w"]:
-        return normals(key, (count, *std.shape), std.dtype) * std[None]
+    def sample() -> Float[Array, "w N"]:
+        return normals(key, (*std.shape, count), std.dtype) * std[:, None]
 
-    silent = jnp.zeros((count, *std.shape), std.dtype)
+    silent = jnp.zeros((*std.shape, count), std.dtype)
     return lax.cond(jnp.any(std != 0), sample, lambda: silent)
 
 
-def correlated(white: Float[Array, "N n"], cov: Float[Array, "n n"]) -> Float[Array, "N n"]:
-    """White rows given a covariance; a diagonal one, as priors often are, is not factorised."""
+def correlated(white: Float[Array, "n N"], cov: Float[Array, "n n"]) -> Float[Array, "n N"]:
+    """White columns given a covariance; a diagonal one, as many priors, is not factorised."""
     if cov.shape[0] <= UNROLLED_COLUMNS:
-        return white @ square_root(cov).T
+        return square_root(cov) @ white
     variance = jnp.diag(cov)
     return lax.cond(
         jnp.all((cov == jnp.diag(variance)) & (variance >= 0)[None]),
-        lambda: white * jnp.sqrt(variance)[None],
-        lambda: white @ square_root(cov).T,
+        lambda: white * jnp.sqrt(variance)[:, None],
+        lambda: square_root(cov) @ white,
     )
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Ensemble
+from kedge.core.beliefs import Ensemble, members_wise
 from kedge.core.manifolds import space
 from kedge.numerics.gram import gram
 from kedge.numerics.noise import draws
@@ -21,7 +21,7 @@ def with_noise(
 ) -> Ensemble:
     r"""Step the members without noise, then let their covariance grow by $G Q G^\top$.
 
-    $A^+ = (I + (N - 1) W W^\top)^{1/2} A$ with $A^\top W = G Q^{1/2}$ in least squares, where G
+    $A^+ = A (I + (N - 1) W^\top W)^{1/2}$ with $A W^\top = G Q^{1/2}$ in least squares, where G
     is the derivative of the step by the noise at the mean; the mean stays. What noise the
     anomalies do not span (fewer members than dimensions, or a component known exactly) cannot
     be had by stretching them: that part is drawn, about zero. With more members than
@@ -33,33 +33,33 @@ def with_noise(
     """
     before, _ = belief.centred()
     calm = jnp.zeros_like(std)
-    moved = Ensemble(jax.vmap(step, (0, None))(belief.members, calm))
+    moved = Ensemble(members_wise(step, shared=1)(belief.columns, calm))
     mean, anomalies = moved.centred()
     states = space(mean)
     centre = step(before, calm)
     slope = jax.jacfwd(lambda noise: states.boxminus(step(before, noise), centre))(calm)
 
     # In units of each component's own spread, so that metres and radians weigh the same.
-    count = anomalies.shape[0]
-    scale = jnp.sqrt(jnp.mean(anomalies**2, axis=0))
+    count = anomalies.shape[1]
+    scale = jnp.sqrt(jnp.mean(anomalies**2, axis=1))
     scale = jnp.where(scale > 0, scale, 1.0)
-    A, noise = anomalies / scale[None], slope * std[None] / scale[:, None]
+    A, noise = anomalies / scale[:, None], slope * std[None] / scale[:, None]
     W = _least_squares(A, noise)
-    rest = noise - A.T @ W
+    rest = noise - A @ W.T
 
     white = draws(key, count, jnp.ones_like(std))
-    drawn = (white - jnp.mean(white, axis=0)[None]) * (count / (count - 1)) ** 0.5
+    drawn = (white - jnp.mean(white, axis=1)[:, None]) * (count / (count - 1)) ** 0.5
     grown = gram(W * (count - 1) ** 0.5).applied(
         lambda values: jnp.sqrt(1 + values), lambda values: 1 / (1 + jnp.sqrt(1 + values)), A
     )
-    grown = grown + drawn @ rest.T
-    return Ensemble(jax.vmap(states.boxplus, (None, 0))(mean, grown * scale[None]))
+    grown = grown + rest @ drawn
+    return Ensemble.around(mean, grown * scale[:, None])
 
 
-def _least_squares(A: Float[Array, "N n"], right: Float[Array, "n w"]) -> Float[Array, "N w"]:
-    r"""The shortest W with $A^\top W$ nearest to ``right``."""
+def _least_squares(A: Float[Array, "n N"], right: Float[Array, "n w"]) -> Float[Array, "w N"]:
+    r"""The shortest W with $A W^\top$ nearest to ``right``."""
     found = gram(A)
     there = found.rank() > 0
-    return found.pushed(
-        lambda values: jnp.where(there, 1 / jnp.where(there, values, 1.0), 0.0), right
+    return found.pulled(
+        lambda values: jnp.where(there, 1 / jnp.where(there, values, 1.0), 0.0), right.T
     )
