@@ -100,7 +100,8 @@ class Kernel:
 @ft.cache
 def _threads() -> ThreadPoolExecutor:
     """Kept, since starting a thread takes as long as many a pass; anew in a forked process."""
-    os.register_at_fork(after_in_child=_threads.cache_clear)
+    if hasattr(os, "register_at_fork"):  # where processes can fork
+        os.register_at_fork(after_in_child=_threads.cache_clear)
     return ThreadPoolExecutor(cores(), "kedge-native")
 
 
