@@ -75,23 +75,23 @@ def test_first_order_sees_no_shift():
 def test_moments_of_a_linear_function_are_exact(strategy):
     random = np.random.default_rng(0)
     slope, effect, factor, K = (random.normal(size=(2, n)) for n in (2, 3, 2, 2))
-    cov, std = factor @ factor.T, np.array([0.3, 1.0, 0.0])
+    cov, std, R = factor @ factor.T, np.array([0.3, 1.0, 0.0]), np.diag([0.5, 2.0])
 
     @quick_jit
     def images(cov, std):
         moved = strategy.image(lambda e, w: Place(slope @ e + effect @ w), cov, std)
         seen = strategy.image(lambda e: Place(slope @ e), cov)
-        return moved[:3], seen[:3], seen.posterior(jnp.asarray(K), jnp.zeros((len(K[0]),) * 2))
+        return moved[:3], seen[:3], seen.posterior(jnp.asarray(K), jnp.asarray(R))
 
     (mean, after, cross), seen, rest = images(cov, std)
     np.testing.assert_allclose(mean.position, 0, atol=1e-15)
     noise = effect @ np.diag(std**2) @ effect.T
     np.testing.assert_allclose(after, slope @ cov @ slope.T + noise, rtol=1e-12)
     np.testing.assert_allclose(cross, cov @ slope.T, rtol=1e-12)
-    # Cov(e - K y), from the joint covariance of e and y alone.
+    # Cov(e - K (y + v)), from the joint covariance of e and y alone.
     joint = np.block([[cov, seen[2]], [np.transpose(seen[2]), seen[1]]])
     apart = np.hstack([np.eye(2), -K])
-    np.testing.assert_allclose(rest, apart @ joint @ apart.T, rtol=1e-11)
+    np.testing.assert_allclose(rest, apart @ joint @ apart.T + K @ R @ K.T, rtol=1e-11)
 
 
 @pytest.mark.parametrize("heading", [0.0, 3.0, -np.pi])

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
-from scipy.special import chdtri
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractMeasurementModel, AbstractVehicle, Innovation
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
+from kedge.filters.gated import bound_of
 from kedge.filters.wrapper import AbstractWrapper, Inflated
 from kedge.numerics.losses import Loss
 
@@ -112,9 +112,7 @@ class GateOrStudent(AbstractWrapper):
     ) -> tuple[Counted, Innovation]:
         """The inner filter's update, or none, or one with the noise that the residual asks."""
         _, score = self.inner.update(model, belief.belief, measurement, key)
-        sizes = np.arange(score.residual.shape[0] + 1)
-        bounds = np.where(sizes > 0, chdtri(np.maximum(sizes, 1), self.false_alarm), np.inf)
-        own = jnp.asarray(bounds)[score.dof]
+        own = bound_of(score, self.false_alarm)
         outside = ~(score.nis <= own)
         lost = outside & (belief.outside_for >= self.recovery)
         trusted = ~lost & (belief.refused <= self.share * belief.all)

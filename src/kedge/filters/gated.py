@@ -117,15 +117,21 @@ class Gated(AbstractWrapper):
         key: PRNGKeyArray,
     ) -> tuple[Any, Innovation]:
         posterior, score = self.inner.update(model, belief, measurement, key)
-        sizes = np.arange(score.residual.shape[0] + 1)
-        bounds = np.where(sizes > 0, chdtri(np.maximum(sizes, 1), self.false_alarm), np.inf)
+        bound = bound_of(score, self.false_alarm)
         # What the inner filter has left out already keeps the inner filter's reason.
         taken = jnp.asarray(score.accepted)
-        own = jnp.minimum(jnp.asarray(bounds)[score.dof], score.threshold)
+        own = jnp.minimum(bound, score.threshold)
         threshold = jnp.where(taken, own, score.threshold)
         inside = score.nis <= threshold
         kept = jax.tree.map(lambda new, old: jnp.where(inside, new, old), posterior, belief)
         return kept, score._replace(accepted=taken & inside, threshold=threshold)
+
+
+def bound_of(score: Innovation, false_alarm: float) -> Float[Array, ""]:
+    r"""$\chi^2_d(1 - \alpha)$ for the d components that are present; infinite without any."""
+    sizes = np.arange(score.residual.shape[0] + 1)
+    bounds = np.where(sizes > 0, chdtri(np.maximum(sizes, 1), false_alarm), np.inf)
+    return jnp.asarray(bounds)[score.dof]
 
 
 def regain(

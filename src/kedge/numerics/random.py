@@ -95,7 +95,7 @@ def _pairs(key: UInt32[Array, "2"], zero: UInt32[Array, ""], half: int) -> Array
 
     Whether a product and the sum after it are rounded once or twice is up to the compiler and
     to the machine. Here every product passes through integers (an exclusive or with ``zero``),
-    so it is rounded by itself, and a draw has the same bits everywhere.
+    so it is rounded by itself, and a draw has the same bits in every program.
     """
     counters = lax.iota(jnp.uint32, half)
     first, second = threefry(key, jnp.full(half, TAG, jnp.uint32), counters)

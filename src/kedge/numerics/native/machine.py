@@ -5,6 +5,7 @@ import functools as ft
 import hashlib
 import os
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,7 @@ class Code:
 
 def is_available() -> bool:
     """Whether LLVM is installed (the extra ``native``)."""
-    try:
-        import llvmlite  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return find_spec("llvmlite") is not None
 
 
 def cache_folder() -> Path:
