@@ -12,12 +12,12 @@ from kedge.core.errors import ContractError
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.simulation.autopilot import trim
 from kedge.simulation.auv_routes import LawnMower
-from kedge.simulation.auv_world import TIED, UnderwaterWorld
+from kedge.simulation.auv_world import TIED, Body, UnderwaterWorld
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import simulate
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import features, response
-from kedge.vehicles.underwater import Underwater
+from kedge.vehicles.underwater import Control, Underwater
 
 
 @eqx.filter_jit
@@ -83,6 +83,33 @@ def test_a_hull_that_is_not_known_exactly():
         np.testing.assert_array_equal(ratios[one], ratios[other])
     for name in ("weight", "zG", "Ixx", "Xprop"):
         assert np.ptp(ratios[name]) == 0
+
+
+def test_what_a_rig_estimates_is_wrong_once():
+    """A scale stands for its coefficient; a moment of trim is what the nominal hull lacks."""
+    world, nominal = UnderwaterWorld(mismatch=0.15), as_coefficients("remus100-adjusted")
+    hull = world.mistaken(jr.key(1), ["Xuu"])
+    assert hull.Xuu == nominal.Xuu
+    assert hull.Yvv != nominal.Yvv
+
+    weaker = nominal.changed(Muuds=0.9 * nominal.Muuds)
+    start, none = Underwater().start(), jnp.zeros(())
+    body = Body(start, jnp.zeros(3), {}, weaker, none)
+    command = Control(*map(jnp.asarray, (3.86, 0.0, 0.05, -0.17)))
+    lacking = (weaker.Muuds - nominal.Muuds) * start.velocity_body[0] ** 2 * -0.17
+    np.testing.assert_allclose(world.unexplained(body, command), lacking, rtol=1e-9)
+
+
+def test_fins_beyond_their_limit_are_counted():
+    """As the root of their share of time, by which studies report whatever is watched."""
+    limit = as_coefficients("remus100-adjusted").fin_limit
+    scenario = scenario_of(UnderwaterWorld(), 0.4)
+    steady = jax.tree.map(lambda leaf: jnp.stack([leaf] * 4), Underwater().start())
+    asked = jnp.array([0.0, 2 * limit, 0.0, 0.0]), jnp.array([0.0, 0.0, 0.0, -limit])
+    controls = Control(jnp.ones(4), jnp.zeros(4), *asked)
+    history = History(steady, controls, Underwater().start())
+    watched = eqx.filter_jit(lambda s, h: s.world.watch(s, h))(scenario, history)
+    np.testing.assert_array_equal(watched[:, 3], [0.0, 1.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize(

@@ -298,3 +298,16 @@ def test_thrust_and_drag_can_be_scaled():
     a = sailed(scaled, hull.start(), control, 0.01, 100)
     b = sailed(as_arrays(Underwater(other)), hull.start(), half, 0.01, 100)
     np.testing.assert_allclose(a.velocity_body, b.velocity_body, rtol=1e-12)
+
+
+def test_a_trim_moment_holds_the_nose_up():
+    """At rest, where it is what weight has on its arm: W zG sin(pitch)."""
+    pitch, none = 0.1, jnp.zeros(3)
+    held = NEUTRAL.weight * NEUTRAL.zG * np.sin(pitch)
+    raised = jnp.array([np.cos(pitch / 2), 0.0, -np.sin(pitch / 2), 0.0])
+    state = Underwater(NEUTRAL).start()
+    state = state._replace(attitude=raised, velocity_body=none, angular_rate=none)
+    still = Control(*jnp.zeros(4))
+    found = Underwater(NEUTRAL, trim_moment=held).accelerations(state, still)
+    np.testing.assert_allclose(found, 0.0, atol=1e-12)
+    assert Underwater(NEUTRAL).accelerations(state, still)[4] < -0.05

@@ -1,7 +1,8 @@
 """An underwater vehicle under its autopilot, in a current, whose hull nobody knows exactly."""
 
+import dataclasses
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -33,7 +34,7 @@ from kedge.simulation.scenario import History, Scenario
 from kedge.vehicles.augmented import Augmented
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import Coefficients
-from kedge.vehicles.underwater import Control, Noise, State, Underwater
+from kedge.vehicles.underwater import PITCH, Control, Noise, State, Underwater
 
 TIED = {"Nvdot": "Yrdot", "Mwdot": "Zqdot"}
 """Coefficients that are one: the mass matrix is symmetric."""
@@ -47,6 +48,8 @@ class Body(NamedTuple):
     rest: Any
     """Whatever else the rig estimates, such as biases of its sensors."""
     hull: Coefficients
+    trim_moment: Float[Array, "*K"]
+    """The pitching moment that the nominal hull does not explain; N m, nose up positive."""
 
 
 class Ahead(NamedTuple):
@@ -67,9 +70,11 @@ class UnderwaterWorld(AbstractGuidedWorld):
     :class:`kedge.simulation.autopilot.Autopilot`, which knows the nominal hull.
 
     Each hydrodynamic coefficient of a run is the nominal one times $1 + m U(-1, 1)$ with
-    ``mismatch`` m. The current is ``current`` (east, north, up) and wanders by
-    ``current_walk``. Whatever else the rig estimates (biases of sensors) is drawn from its
-    prior and wanders as the rig says.
+    ``mismatch`` m. If the rig estimates a scale instead, that is drawn from its prior, and its
+    coefficient is not wrong twice; the true ``trim_moment`` is what the nominal hull lacks of
+    the pitching acceleration at each time. The current is ``current`` (east, north, up) and
+    wanders by ``current_walk``. Whatever else the rig estimates (biases of sensors) is drawn
+    from its prior and wanders as the rig says.
 
     Filters are told of the commands, fins as they stand. Studies report the distance from the
     route in plan, the depth's and the heading's deviation, and the root of the share of time
@@ -116,30 +121,57 @@ class UnderwaterWorld(AbstractGuidedWorld):
         states = space_of(type(prior.mean))
         white = square_root(prior.cov) @ jr.normal(keys[0], (states.size,))
         drawn, rest = states.boxplus(prior.mean, white), _slow(scenario)
-        hull = self.mistaken(keys[1])
+        hull = self.mistaken(keys[1], [SCALES[name] for name in rest if name in SCALES])
         body = Body(
             self.intended(scenario, 0.0),
             jnp.asarray(self.current, float),
             {name: getattr(drawn, name) for name in rest},
             hull,
+            jnp.zeros(()),
         )
+        if _trims(scenario):
+            command = self.guidance(scenario)(body.state, 0.0)
+            body = body._replace(trim_moment=self.unexplained(body, command))
         size = sum(charts_of(states.cls)[name].size for name in rest)
         steps = scenario.steps
         gusts = jr.normal(keys[2], (steps, 9))
         wanders = jr.normal(keys[3], (steps, size))
         return body, Ahead(gusts[:, :6], gusts[:, 6:], wanders)
 
-    def mistaken(self, key: PRNGKeyArray) -> Coefficients:
-        """A hull that differs from the nominal one in every hydrodynamic coefficient."""
+    def mistaken(self, key: PRNGKeyArray, known: Sequence[str | None] = ()) -> Coefficients:
+        """A hull that differs from the nominal one in every hydrodynamic coefficient.
+
+        Not in those ``known``: what the rig estimates instead is drawn from its prior, and is
+        wrong once, not twice.
+        """
         nominal = as_coefficients(self.coefficients)
         names = [n for n in nominal.values() if n[0] in "XYZKMN" and "prop" not in n]
         off = 1 + self.mismatch * jr.uniform(key, (len(names),), minval=-1.0)
         factor = dict(zip(names, off, strict=True))
         factor |= {name: factor[other] for name, other in TIED.items()}
+        factor |= {name: 1.0 for name in known if name is not None}
         return nominal.changed(**{n: getattr(nominal, n) * f for n, f in factor.items()})
 
     def state(self, body: Body) -> Any:
-        return _truth(tuple(body.rest))(*body.state, body.current, *body.rest.values())
+        own = body.current, body.trim_moment, *body.rest.values()
+        return _truth(tuple(body.rest))(*body.state, *own)
+
+    def true_vehicle(self, body: Body) -> Underwater:
+        """The hull that nobody knows, with what the rig estimates of it."""
+        return Underwater(
+            body.hull,
+            current=body.current,
+            acceleration_noise=self.acceleration_noise,
+            angular_noise=self.angular_noise,
+            **{name: body.rest[name] for name in SCALES if name in body.rest},
+        )
+
+    def unexplained(self, body: Body, command: Control) -> Float[Array, ""]:
+        """The moment that gives the nominal hull the pitching acceleration of the true one."""
+        true, nominal = self.true_vehicle(body), as_coefficients(self.coefficients)
+        known = dataclasses.replace(true, coefficients=nominal)
+        pulls = [vehicle.accelerations(body.state, command) for vehicle in (true, known)]
+        return (pulls[0] - pulls[1])[PITCH] / nominal.compliance()[PITCH, PITCH]
 
     def intended(self, scenario: Scenario, time: Scalar) -> Any:
         place, (depth, sinking) = self.route.at(time), self.sounding(time)
@@ -185,14 +217,7 @@ class UnderwaterWorld(AbstractGuidedWorld):
     ) -> tuple[Body, Any]:
         gusts, drifts, wanders = jax.tree.map(lambda leaf: leaf[0], draws)
         root = jnp.sqrt(scenario.dt)
-        scales = {name: body.rest[name] for name in SCALES if name in body.rest}
-        vehicle = Underwater(
-            body.hull,
-            current=body.current,
-            acceleration_noise=self.acceleration_noise,
-            angular_noise=self.angular_noise,
-            **scales,
-        )
+        vehicle = self.true_vehicle(body)
         shaken = gusts * process_std(vehicle, scenario.dt)
         noise = Noise(shaken[:3], shaken[3:])
         state = vehicle.step(body.state, command, noise, scenario.dt)
@@ -203,7 +228,9 @@ class UnderwaterWorld(AbstractGuidedWorld):
             white, wanders = wanders[:size].reshape(jnp.shape(value)), wanders[size:]
             decay = jnp.exp(-scenario.dt / jnp.asarray(own.time_constant))
             rest[name] = own.nominal + (value - own.nominal) * decay + own.walk * root * white
-        after = Body(state, body.current + drifting, rest, body.hull)
+        after = Body(state, body.current + drifting, rest, body.hull, body.trim_moment)
+        if _trims(scenario):
+            after = after._replace(trim_moment=self.unexplained(after, command))
         told = _told(scenario, command)
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (after, told))
 
@@ -223,22 +250,30 @@ class UnderwaterWorld(AbstractGuidedWorld):
         return jnp.stack([aside, deep, turned, beyond], axis=1)
 
 
-SCALES = ("thrust_scale", "drag_scale")
+SCALES = {"thrust_scale": None, "drag_scale": "Xuu"}
+"""What the true vehicle has too if the rig estimates it; what such a scale stands for."""
+APART = ("current", "trim_moment")
+"""What the rig may estimate, and the world has by itself."""
+
+
+def _trims(scenario: Scenario) -> bool:
+    """Whether the rig estimates a moment of trim."""
+    return "trim_moment" in type(scenario.rig.prior.mean)._fields
 
 
 def _slow(scenario: Scenario) -> dict[str, Any]:
-    """What the rig estimates beside the vehicle's own state, but for the current."""
+    """What the rig estimates beside the vehicle's state, without what the world has itself."""
     vehicle = scenario.rig.vehicle
     if not isinstance(vehicle, Augmented):
         return {}
-    return {name: vehicle.slow[name] for name, _ in vehicle.charts if name != "current"}
+    return {name: vehicle.slow[name] for name, _ in vehicle.charts if name not in APART}
 
 
 @ft.cache
 def _truth(rest: tuple[str, ...]) -> Any:
     """The class of the true state."""
     create: Any = NamedTuple
-    return create("Truth", [(name, Any) for name in (*State._fields, "current", *rest)])
+    return create("Truth", [(name, Any) for name in (*State._fields, *APART, *rest)])
 
 
 def _told(scenario: Scenario, command: Control) -> Any:

@@ -30,6 +30,7 @@ from kedge.vehicles.accelerations import accelerations
 from kedge.vehicles.body_twist import State as State
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import (
+    FORCES,
     Coefficients,
     cruise,
     modes,
@@ -69,8 +70,9 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     the rule of much of the literature, and makes the undamped roll grow; "rk4" is of fourth
     order. With ``linear`` forces and moments are linearised about straight and level travel at
     the cruise of ``Xprop``, as much of the literature has it; position and attitude follow
-    exactly. ``thrust_scale``, ``drag_scale`` (axial) and ``current`` can be estimated as slow
-    quantities.
+    exactly. ``thrust_scale``, ``drag_scale`` (axial), ``current`` and ``trim_moment`` can be
+    estimated as slow quantities; the last is a pitching moment, nose up positive, that no
+    coefficient explains: ballast that lies elsewhere than said, lift and fins not as said.
 
     The REMUS hull is unstable in yaw and pitch without a pilot.
 
@@ -88,6 +90,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     )
     thrust_scale: Ratio = 1.0
     drag_scale: Ratio = 1.0
+    trim_moment: Torque = 0.0
     current: Velocity3 = eqx.field(default=(0.0, 0.0, 0.0), converter=jnp.asarray)
     acceleration_noise: AccelerationNoise = 0.02
     angular_noise: YawAccelerationNoise = 0.02
@@ -110,10 +113,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         return as_coefficients(self.coefficients)
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
-        reply, pushed = response(self.hull, self.drag_scale), accelerations
-        if self.linear:
-            pushed = _linear(self.hull)
-        commands = clipped(self.hull, control, self.thrust_scale)
+        pushed = self._pushed(control)
         shaken = jnp.concatenate(
             [FLIP[:3] * noise.acceleration, FLIP[3:] * noise.angular_acceleration]
         )
@@ -123,18 +123,35 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
             """Of u to r (forward, starboard, down), the position and the quaternion."""
             velocity, quaternion = x[:6], x[9:]
             turn = matrix_of(quaternion)
-            push = pushed(reply, velocity, DOWN * turn[2], commands) + shaken
+            push = pushed(velocity, turn) + shaken
             moved = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
             return jnp.concatenate([push, moved, spun(quaternion, FLIP[3:] * velocity[3:])])
 
-        drift = rotate(conjugate(state.attitude), current)
-        through = FLIP * jnp.concatenate([state.velocity_body - drift, state.angular_rate])
-        x = jnp.concatenate([through, state.position, state.attitude])
+        x = jnp.concatenate([self._through(state), state.position, state.attitude])
         x = integrate(self.integrator, rates, x, dt)
         attitude = x[9:] / jnp.sqrt(x[9:] @ x[9:])
         velocity = FLIP * x[:6]
         drift = rotate(conjugate(attitude), current)
         return State(x[6:9], attitude, velocity[:3] + drift, velocity[3:])
+
+    def accelerations(self, state: State, control: Control) -> Float[Array, "6"]:
+        """Those of u, v, w, p, q, r (forward, starboard, down) through the water."""
+        return self._pushed(control)(self._through(state), matrix_of(state.attitude))
+
+    def _through(self, state: State) -> Float[Array, "6"]:
+        """The velocities through the water, forward, starboard, down."""
+        drift = rotate(conjugate(state.attitude), jnp.asarray(self.current))
+        return FLIP * jnp.concatenate([state.velocity_body - drift, state.angular_rate])
+
+    def _pushed(self, control: Control) -> Callable[[Array, Array], Float[Array, "6"]]:
+        """The accelerations by velocities and the rotation of the map from the body."""
+        hull, pushed = self.hull, accelerations
+        reply = response(hull, self.drag_scale)
+        if self.linear:
+            pushed = _linear(hull)
+        commands = clipped(hull, control, self.thrust_scale)
+        pitching = self.trim_moment * hull.compliance()[:, PITCH]
+        return lambda v, turn: pushed(reply, v, DOWN * turn[2], commands) + pitching
 
     def noise_density(self) -> Noise:
         return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
@@ -155,6 +172,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         return Control(hull.Xprop + none, hull.Kprop + none, *fins)
 
 
+PITCH = FORCES.index("pitch")
 FLIP: Any = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 """From forward, left, up to forward, starboard, down, and back."""
 DOWN: Any = np.array([-1.0, 1.0, 1.0])
