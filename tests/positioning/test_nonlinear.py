@@ -138,3 +138,42 @@ def test_differences_reach_their_bound_inside_and_out():
         assert rmse == pytest.approx(np.sqrt(least), rel=0.06)
         assert rmse == pytest.approx(figure, rel=0.25)
         assert fixes.redundancy[0] == 1
+
+
+def test_differences_are_weighed_by_the_covariance_they_share():
+    r"""Against one reference it is $\sigma^2 (I + 1 1^\top)$: generalised least squares by hand.
+
+    As independent differences they would lead elsewhere, and to a smaller covariance.
+    """
+    rng, place = np.random.default_rng(7), np.array([31.0, 4.0])
+    noisy = far(HALL, place) + 0.3 * rng.standard_normal(6)
+    noisy[3] += 1.0
+    fix = differences(links(HALL, noisy - noisy[0], 0.3))
+
+    def by_hand(cov):
+        found, weight = place.copy(), np.linalg.inv(cov)
+        for _ in range(60):
+            unit = (found - HALL) / far(HALL, found)[:, None]
+            slope = unit[1:] - unit[0]
+            left = noisy[1:] - noisy[0] - (far(HALL, found)[1:] - far(HALL, found)[0])
+            inverse = np.linalg.inv(slope.T @ weight @ slope)
+            found = found + inverse @ slope.T @ weight @ left
+        return found, inverse
+
+    shared, cov = by_hand(0.3**2 * (np.eye(5) + 1.0))
+    np.testing.assert_allclose(fix.position, shared, atol=1e-6)
+    np.testing.assert_allclose(fix.cov, cov, rtol=1e-6)
+    alone, smaller = by_hand(0.3**2 * np.eye(5))
+    assert np.linalg.norm(alone - shared) > 0.05
+    assert np.trace(smaller) < 0.8 * np.trace(cov)
+
+
+def test_the_covariance_of_differences_is_that_of_the_errors():
+    """2000 draws know a mean of two squared normal variables to 2.2 %."""
+    rng, place = np.random.default_rng(8), np.array([31.0, 4.0])
+    noisy = far(HALL, place) + 0.05 * rng.standard_normal((2000, 6))
+    solve = jax.jit(jax.vmap(lambda own: differences(links(HALL, own, 0.05))))
+    fixes = solve(jnp.asarray(noisy - noisy[:, :1]))
+    error = np.asarray(fixes.position) - place
+    inverse = np.linalg.inv(np.asarray(fixes.cov))
+    assert np.einsum("ni,nij,nj->n", error, inverse, error).mean() == pytest.approx(2, rel=0.07)
