@@ -1,9 +1,9 @@
 """The 15-state filter at 200 Hz beside a plain NumPy one, gtsam's navigation EKF and INSLIB.
 
 All do the same events of one log: a prediction at each IMU sample, position and velocity at
-5 Hz. gtsam's has 9 states, no biases, and is compiled C++ behind Python calls; INSLIB has 15, in
-single precision, and is C behind ctypes. Both take one event a call, so what they cost is the
-same offline and live. What they cost is shown beside the others, not required.
+5 Hz. gtsam's has 9 states, no biases, and is compiled C++ behind Python calls; INSLIB has 15,
+in single precision, and is C behind ctypes. Both take one event a call, so what they cost is
+the same offline and live. It is shown beside the others, not required.
 """
 
 import math

@@ -141,7 +141,7 @@ def test_differences_reach_their_bound_inside_and_out():
 
 
 def test_differences_are_weighed_by_the_covariance_they_share():
-    r"""Against one reference it is $\sigma^2 (I + 1 1^\top)$: generalised least squares by hand.
+    r"""Against one reference it is $\sigma^2 (I + 1 1^\top)$; least squares with it by hand.
 
     As independent differences they would lead elsewhere, and to a smaller covariance.
     """

@@ -31,7 +31,7 @@ class PowerBias(NamedTuple):
     std: Float[np.ndarray, " k"]  # m
 
     def at(self, power: Any) -> tuple[Array, Array]:
-        """Bias and noise of ranges that came with such power, m; of the whole where it is NaN."""
+        """Bias and noise of ranges that came with such power, m; of the whole if it is NaN."""
         x = jnp.asarray(power, float)
         knots = jnp.asarray(self.power)
 
@@ -59,8 +59,8 @@ def fit_power_bias(power: Any, error: Any, knots: int = 6) -> PowerBias:
     x, e = x[there], e[there]
     if knots < 2 or len(x) < LEAST * knots:
         raise DataError(
-            f"power bias: found {len(x)} ranges for {knots} knots, expected 2 knots or more and "
-            f"{LEAST} ranges for each"
+            f"power bias: found {len(x)} ranges for {knots} knots, expected 2 knots or more "
+            f"and {LEAST} ranges for each"
         )
     parts = np.array_split(np.argsort(x, kind="stable"), knots)
     places = np.array([x[part].mean() for part in parts])
