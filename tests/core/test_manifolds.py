@@ -68,6 +68,18 @@ def test_moves_go_by_the_chart():
     np.testing.assert_allclose(np.linalg.norm(moved.attitude), 1)
 
 
+def test_the_slope_of_a_move_is_the_derivative_of_what_errors_become():
+    delta = jnp.array([0.3, -1.0, 4.0, 0.2, 1.0, 2.0, 3.0, 0.7, -1.1, 0.4])
+
+    def seen(error):
+        return SPACE.boxminus(SPACE.boxplus(POINT, delta + error), SPACE.boxplus(POINT, delta))
+
+    expected = quick_jit(jax.jacfwd(seen))(jnp.zeros(10))
+    np.testing.assert_allclose(SPACE.slope(delta), expected, atol=1e-14)
+    flat = space_of(NamedTuple("Flat", [("heading", Heading), ("speed", Speed)]))
+    assert flat.slope(jnp.zeros(2)) is None
+
+
 @pytest.mark.parametrize("chart", [Circle(), Rotation()])
 def test_differences_near_half_a_turn(chart):
     """The tangent vector comes back whatever is the point that it starts from."""

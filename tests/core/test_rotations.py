@@ -52,6 +52,21 @@ def test_exp_and_log_have_derivatives_at_no_turn():
     np.testing.assert_allclose(at_rest, np.eye(3), atol=1e-15)
 
 
+def test_the_slope_of_exp_is_the_derivative():
+    """Of what is left of a turn that is a little larger, by automatic differentiation."""
+
+    def left(more, turn):
+        back = rotations.conjugate(rotations.exp(turn))
+        return rotations.log(rotations.multiply(back, rotations.exp(turn + more)))
+
+    # Around 1e-3, where the series begins, and up to nearly half a turn.
+    lengths = [0.0, 1e-7, 9.9e-4, 1.1e-3, 0.3, 1.0, 3.0]
+    turns = np.concatenate([VECTORS[:10] / LENGTHS[:10] * length for length in lengths])
+    expected = quick_jit(jax.vmap(jax.jacfwd(left), (None, 0)))(np.zeros(3), turns)
+    found = quick_jit(jax.vmap(rotations.exp_slope))(turns)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 ANGLES = np.concatenate(
     [
         RANDOM.uniform(-50, 50, 200),

@@ -123,6 +123,10 @@ class Rotation:
         moved = rotations.multiply(jnp.asarray(point), rotations.exp(delta))
         return moved / jnp.linalg.norm(moved)
 
+    def slope(self, delta: Float[Array, " n"]) -> Float[Array, "n n"]:
+        r"""Of $(q \boxplus (\delta + e)) \boxminus (q \boxplus \delta)$ by e, at 0."""
+        return rotations.exp_slope(delta)
+
     def boxminus(self, point: Point, base: Point) -> Float[Array, " n"]:
         r"""$\log(q_0^{-1} \otimes q)$."""
         inverse = rotations.conjugate(jnp.asarray(base))
@@ -167,6 +171,26 @@ class Space(Generic[S]):
         """Tangent vector that moves ``base`` to ``point``."""
         parts = [c.boxminus(p, b) for c, p, b in zip(self.charts, point, base, strict=True)]
         return jnp.concatenate(parts) if parts else self.zeros()
+
+    def slope(self, delta: Float[Array, " n"]) -> Float[Array, "n n"] | None:
+        r"""What a move does to errors: those about $x$ seen about $x \boxplus \delta$.
+
+        $\partial ((x \boxplus (\delta + \epsilon)) \boxminus (x \boxplus \delta)) / \partial
+        \epsilon$, from the charts that have a ``slope``; the others are flat. None if all are.
+
+        Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017,
+        arXiv 1711.02508, section 6.3.
+        """
+        if not any(hasattr(chart, "slope") for chart in self.charts):
+            return None
+        rows = []
+        for chart, part, cut in zip(
+            self.charts, self._split(delta), self.slices().values(), strict=True
+        ):
+            own: Any = getattr(chart, "slope", None)
+            block = jnp.eye(chart.size) if own is None else own(part)
+            rows.append(jnp.pad(block, ((0, 0), (cut.start, self.size - cut.stop))))
+        return jnp.concatenate(rows)
 
     def flatten(self, tangent: S) -> Float[Array, " n"]:
         """Concatenate a tangent-valued ``NamedTuple`` (a noise, a rate) to a vector."""

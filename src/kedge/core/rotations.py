@@ -47,6 +47,27 @@ def exp(rotation_vector: Float[Array, "3"]) -> Float[Array, "4"]:
     return jnp.concatenate([real[None], ratio * rotation_vector])
 
 
+def exp_slope(rotation_vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    r"""The right Jacobian: $\exp(v + \epsilon) = \exp(v) \exp(J \epsilon)$ to first order.
+
+    $J = I - \frac{1 - \cos\theta}{\theta^2} [v]_\times + \frac{\theta - \sin\theta}{\theta^3}
+    [v]_\times^2$ with $\theta = \lVert v \rVert$.
+
+    Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017,
+    arXiv 1711.02508, section 4.3.4, equation 183.
+    """
+    x, y, z = rotation_vector[0], rotation_vector[1], rotation_vector[2]
+    squared = rotation_vector @ rotation_vector
+    small = squared < 1e-6
+    safe = jnp.where(small, 1.0, squared)
+    angle = jnp.sqrt(safe)
+    once = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / safe)
+    twice = jnp.where(small, 1 / 6 - squared / 120, (angle - jnp.sin(angle)) / (safe * angle))
+    cross = jnp.stack([0.0 * x, -z, y, z, 0.0 * x, -x, -y, x, 0.0 * x]).reshape(3, 3)
+    outer = rotation_vector[:, None] * rotation_vector[None]
+    return (1 - twice * squared) * jnp.eye(3) - once * cross + twice * outer
+
+
 def log(q: Float[Array, "4"]) -> Float[Array, "3"]:
     """Rotation vector in rad, of length at most pi, of a unit quaternion."""
     q = jnp.where(q[0] < 0, -q, q)

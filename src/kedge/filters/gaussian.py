@@ -8,7 +8,6 @@ error-state filter.
 import abc
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -19,7 +18,7 @@ from kedge.core.contracts import (
     AbstractVehicle,
     Innovation,
 )
-from kedge.core.manifolds import Circle, Euclidean, space
+from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, mirrored
@@ -124,24 +123,12 @@ def sight_of(model: AbstractMeasurementModel, mean: Any) -> Function:
 
 
 def moved(mean: Any, shift: Float[Array, " n"]) -> tuple[Any, Float[Array, "n n"] | None]:
-    r"""The mean after a correction, and what the move does to errors about it.
+    """The mean after a correction, and what turns errors about the old one into those about it.
 
-    $J = \partial ((x \boxplus (\delta + \epsilon)) \boxminus (x \boxplus \delta)) / \partial
-    \epsilon$ turns errors about the old mean into errors about the new one; None where every
-    chart is flat, since it is the identity there.
-
-    Source: J. Solà, "Quaternion kinematics for the error-state Kalman filter", 2017,
-    arXiv 1711.02508, section 6.3.
+    None where every chart is flat, since nothing turns there.
     """
     states = space(mean)
-    after = states.boxplus(mean, shift)
-    if all(isinstance(chart, (Euclidean, Circle)) for chart in states.charts):
-        return after, None
-
-    def reset(error: Float[Array, " n"]) -> Float[Array, " n"]:
-        return states.boxminus(states.boxplus(mean, shift + error), after)
-
-    return after, jax.jacfwd(reset)(jnp.zeros_like(shift))
+    return states.boxplus(mean, shift), states.slope(shift)
 
 
 def turned(turn: Float[Array, "n n"] | None, cov: Float[Array, "n n"]) -> Float[Array, "n n"]:
