@@ -1,7 +1,8 @@
 """The traced step of a Gaussian filter is straight-line code.
 
 One kernel can then be compiled from it that runs many filters in SIMD lanes: static shapes, no
-loops, no random numbers, no decomposition that is not unrolled.
+loops but of a few rounds whose number is fixed, no random numbers, no decomposition that is not
+unrolled.
 """
 
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.estimation.rig import Installation, check_reads
 from kedge.filters.gated import Gated
+from kedge.numerics.native.calling import MOST_ROUNDS
 from kedge.vehicles.augmented import Augmented, Wander, augment
 
 GAUSSIAN = [
@@ -32,7 +34,9 @@ CROOKED = ("while", "scan", "random", "threefry", "eigh", "svd", "lu", "qr", "er
 def primitives(program: Jaxpr) -> Iterator[str]:
     """Names of all primitives, those of inner programs too."""
     for equation in program.eqns:
-        yield equation.primitive.name
+        # A short one of fixed length is unrolled; XLA compiles it sooner than its rounds.
+        if equation.primitive.name != "scan" or equation.params["length"] > MOST_ROUNDS:
+            yield equation.primitive.name
         for inner in jax.tree.leaves(
             list(equation.params.values()),
             is_leaf=lambda p: isinstance(p, (Jaxpr, ClosedJaxpr)),

@@ -108,6 +108,14 @@ def test_what_is_known_exactly_does_not_spread(spoilt):
     np.testing.assert_array_equal(both(np.zeros((size, size)))[1], 0)
 
 
+@pytest.mark.parametrize("size", [4, UNROLLED + 1])
+def test_a_variance_of_zero_has_a_finite_derivative(size):
+    """Of the root's squares, which are the variances: one where there is one, else nothing."""
+    known = np.diag([1.0] * (size - 1) + [0.0])
+    slope = quick_jit(jax.grad(lambda matrix: jnp.sum(square_root(matrix) ** 2)))(known)
+    np.testing.assert_allclose(np.diag(slope), np.diag(known), atol=1e-12)
+
+
 def test_what_is_not_finite_stays_so(spoilt):
     size, both = spoilt
     matrix = np.eye(size)

@@ -156,24 +156,25 @@ def _semidefinite(
         return jnp.where(jnp.arange(size) < j, zero, rest * inverse), negative
 
     lifted = jnp.zeros((), int)
-    if size > UNROLLED_COLUMNS:
-        library = library_cholesky(matrix, lower=True)
-        regular = jnp.all(jnp.diag(library) ** 2 > rounding * jnp.diag(matrix))
+    if size > UNROLLED:
 
         def eliminate(j: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             column, negative = column_of(j, carry[0])
             return carry[0].at[:, j].set(column), carry[1] + negative
 
+        none = jnp.zeros_like(matrix), lifted
+        library = library_cholesky(lax.stop_gradient(matrix), lower=True)
+        regular = jnp.all(jnp.diag(library) ** 2 > rounding * jnp.diag(matrix))
+        if size <= UNROLLED_COLUMNS:
+            return lax.cond(
+                regular,
+                # Anew, since where it fails even a derivative that nobody takes is NaN.
+                lambda: (library_cholesky(matrix, lower=True), lifted),
+                lambda: lax.fori_loop(0, size, eliminate, none),
+            )
         # No steps rather than a branch: in a batch, both sides of a branch would be computed.
-        start = jnp.where(regular, library, jnp.zeros_like(matrix)), lifted
+        start = jnp.where(regular, library_cholesky(matrix, lower=True), none[0]), lifted
         return lax.fori_loop(0, jnp.where(regular, 0, size), eliminate, start)
-    if size > UNROLLED:
-        columns = jnp.zeros((size, 0), matrix.dtype)
-        for j in range(size):
-            column, negative = column_of(j, columns)
-            columns = jnp.concatenate([columns, column[:, None]], axis=1)
-            lifted = lifted + negative
-        return columns, lifted
     root: list[list[Array]] = [[zero] * size for _ in range(size)]
     for j in range(size):
         pivot = matrix[j, j] - sum((root[j][k] ** 2 for k in range(j)), zero)

@@ -14,8 +14,12 @@ from kedge.numerics.native.emit import HEAD, Writer
 from kedge.numerics.native.machine import compile_text
 from kedge.numerics.native.program import SHORT, Limits, Program
 
-LANES = 8
-"""Runs side by side: two registers of AVX2, or one of AVX-512, which keeps both pipes busy."""
+LANES = 4
+"""Runs side by side: one register of AVX2 for each number.
+
+With two, a step's numbers fill the registers sooner and go to memory and back; enough terms are
+independent to keep both pipes busy.
+"""
 
 
 class Kernel:

@@ -96,6 +96,10 @@ def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
         return np.transpose(x, [*batch, *free, *summed]).reshape(size)
 
     first, second = arranged(a, left_batch, left), arranged(b, right_batch, right)
+    if first.shape[-1] == 0:
+        zero = f.const(0, kind_of(equation.outvars[0].aval.dtype))
+        shape = equation.outvars[0].aval.shape
+        return filled([zero] * int(np.prod(shape, dtype=int)), shape)
     found = [
         inner(f, row, column)
         for rows, columns in zip(first, second, strict=True)
@@ -106,9 +110,7 @@ def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
 
 
 def inner(f: Algebra, a: np.ndarray, b: np.ndarray) -> Node:
-    """Sum of products."""
-    if len(a) == 0:
-        raise Unsupported("an empty product")
+    """Sum of products, of which there is one at least."""
     value = f.mul(a[0], b[0])
     for x, y in zip(a[1:], b[1:], strict=True):
         value = f.add(value, f.mul(x, y))
