@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian
+from kedge.core.beliefs import Ensemble, Gaussian, Particles
 from kedge.core.contracts import AbstractFilter
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Log
@@ -14,12 +14,14 @@ from kedge.estimation.passage import is_smoothable, passage
 from kedge.estimation.rig import Rig
 from kedge.estimation.step import (
     Outcome,
-    Standing,
     advance,
     begin,
     condition,
     event_keys,
 )
+
+CLOUDS = Ensemble, Particles
+"""Beliefs whose moments have to be computed from all their states."""
 
 
 class Estimates(NamedTuple):
@@ -51,8 +53,8 @@ def whole_pass(
             return passage(*motion)
         return advance(*motion), None
 
-    def body(carry: tuple[Standing, Any, Any, Any], event: Any) -> tuple[Any, Any]:
-        standing, last, moves, takes = carry
+    def body(carry: tuple[Any, ...], event: Any) -> tuple[Any, Any]:
+        standing, last, moves, takes, known = carry
         (time, sensor, row), control = event
         # Older than the belief: nothing happens, and the event does not count (as online).
         late = time < last
@@ -72,12 +74,24 @@ def whole_pass(
         )
         verdict = jnp.where(late & (sensor >= 0), Verdict.LATE, outcome.verdict)
         outcome = outcome._replace(verdict=verdict)
-        carry = standing, jnp.maximum(time, last), moves, takes
-        return carry, (standing.belief.moments(), outcome, history)
+        changed = (time > last) | (sensor >= 0)
+        moments = _moments(standing.belief, changed, known)
+        known = known if known is None else moments
+        carry = standing, jnp.maximum(time, last), moves, takes, known
+        return carry, (moments, outcome, history)
 
     filter = filter.aboard(rig.names)
     none = jnp.zeros((), int)
-    start = begin(filter, rig, key), jnp.zeros(()), none, none
+    first = begin(filter, rig, key)
+    known = first.belief.moments() if isinstance(first.belief, CLOUDS) else None
+    start = first, jnp.zeros(()), none, none, known
     events = log.schedule, log.controls
     left, (moments, outcome, history) = lax.scan(body, start, events)
-    return Estimates(log.schedule.time, moments, outcome), history, left
+    return Estimates(log.schedule.time, moments, outcome), history, left[:-1]
+
+
+def _moments(belief: Any, changed: Bool[Array, ""], known: Gaussian | None) -> Gaussian:
+    """Of a cloud only where it has changed; of all else they are at hand."""
+    if known is None:
+        return belief.moments()
+    return lax.cond(changed, belief.moments, lambda: known)
