@@ -17,18 +17,33 @@ from kedge.filters.extended import ExtendedKalman
 from kedge.simulation.simulate import schedule, simulate, with_readings
 
 pytestmark = pytest.mark.slow
-RUNS, BEFORE, LOST, AFTER = 300, 4, 35, 36
-"""Runs, and the times in s of estimates: the log is lost from 5 to 35.1 s."""
+BEFORE, LOST, AFTER = 4, 35, 36
+"""The times in s of estimates: the log is lost from 5 to 35.1 s."""
+
+
+SLOW = "gyroscope_bias={std=0.002, walk=1e-5}, attitude_bias={std=0.005}, "
+SLOW += "doppler_scale={std=0.003}"
+AIDED = "thrust_scale={std=0.1}, drag_scale={std=0.1}, trim_moment={std=0.3, walk=0.03}"
+MODELS = {
+    "kinematic": (300, "body-twist", "{acceleration_noise=0.05, angular_noise=0.1}", SLOW),
+    "forces": (
+        100,
+        "underwater",
+        "{acceleration_noise=0.05, angular_noise=0.05}",
+        f"{SLOW}, {AIDED}",
+    ),
+}
+"""Runs, the vehicle, its noise, and what is estimated beside its state."""
 
 
 @pytest.fixture(scope="module")
-def runs():
+def runs(request):
     """Errors (NEES apart) and covariances: the truth moves as the filter's own model says."""
-    slow = "{gyroscope_bias={std=0.002, walk=1e-5}, attitude_bias={std=0.005}, "
+    count, model, parameters, slow = MODELS[request.param]
     changes = {
-        "vehicle.model": '"body-twist"',
-        "vehicle.parameters": "{acceleration_noise=0.05, angular_noise=0.1}",
-        "vehicle.slow": slow + "doppler_scale={std=0.003}}",
+        "vehicle.model": f'"{model}"',
+        "vehicle.parameters": parameters,
+        "vehicle.slow": f"{{{slow}}}",
         "scenario.duration": f"{AFTER}.0",
         "faults.lock.windows": "[[5.0, 35.1]]",
     }
@@ -46,7 +61,7 @@ def runs():
         log = with_readings(plan.log, scenario, run)
         return log.controls, log.readings, jax.tree.map(lambda leaf: leaf[steps], run.truth)
 
-    controls, readings, truth = draw(jr.split(jr.key(5), RUNS))
+    controls, readings, truth = draw(jr.split(jr.key(5), count))
     log = plan.log._replace(controls=controls, readings=readings)
     found = estimate_runs(
         ExtendedKalman(),
@@ -60,16 +75,18 @@ def runs():
     return np.asarray(error), np.asarray(found.cov)
 
 
+@pytest.mark.parametrize("runs", MODELS, indirect=True)
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_nees_is_within_its_bounds(runs, place):
     """Before, at the end of, and after 30 s without a Doppler log; 99.9 % bounds."""
     error, cov = runs[0][:, place], runs[1][:, place]
     nees = np.einsum("ri,ri->r", error, np.linalg.solve(cov, error[..., None])[..., 0])
-    size = RUNS * error.shape[1]
-    low, high = (chdtri(size, share) / RUNS for share in (0.9995, 0.0005))
+    size = error.size
+    low, high = (chdtri(size, share) / len(error) for share in (0.9995, 0.0005))
     assert low < nees.mean() < high
 
 
+@pytest.mark.parametrize("runs", ["kinematic"], indirect=True)
 def test_position_after_an_outage_is_within_three_sigma(runs):
     """At the end of it, axis by axis, in at least 99 % of the runs.
 
@@ -85,6 +102,7 @@ def test_position_after_an_outage_is_within_three_sigma(runs):
     assert np.median(growth) > 10
 
 
+@pytest.mark.parametrize("runs", ["kinematic"], indirect=True)
 def test_nothing_jumps_when_the_bottom_is_back(runs):
     """What the first readings move the position by is what the belief before them allows."""
     error, cov = runs

@@ -187,7 +187,7 @@ def plot_errors(run: Run, axes: Any = None, color: str | None = None) -> Any:
         draw_band(ax, run, errors.time, error, band, "error", color)
         limit = 1.12 * max(np.nanmax(np.abs(error), initial=0), np.quantile(band, 0.97), 1e-9)
         ax.set_ylim(-limit, limit)
-        ax.set_ylabel(f"{style.words(errors.labels[index])} ({symbol})")
+        ax.set_ylabel(style.axis_label(errors.labels[index], symbol))
     axes[-1].set_xlabel(TIME)
     legend(axes[0], 4)
     return axes
@@ -203,7 +203,7 @@ def plot_states(run: Run, axes: Any = None, color: str | None = None) -> Any:
     for ax, (label, unit, values, std) in zip(axes, components, strict=True):
         factor, symbol = style.shown(unit)
         draw_band(ax, run, run.track.time, factor * values, 3 * factor * std, "state", color)
-        ax.set_ylabel(f"{style.words(label)} ({symbol})")
+        ax.set_ylabel(style.axis_label(label, symbol))
     axes[-1].set_xlabel(TIME)
     legend(axes[0], 4)
     return axes

@@ -8,6 +8,7 @@ import functools
 import importlib
 import io
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
@@ -60,6 +61,8 @@ VERDICT_ROLES = {
     Verdict.DROPPED: "dropped",
 }  # the others are odd
 
+PANEL = 16
+"""Letters along the side of a low panel."""
 WIDTH = 8.4  # in; 8.5 pt in it are 14 px on a page of 1000 px
 RC: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so the layout is the same anywhere
@@ -277,6 +280,14 @@ def count(value: int) -> str:
 def words(label: str) -> str:
     """A field or component as people write it: ``position_x`` is "position x"."""
     return label.replace("_", " ")
+
+
+def axis_label(name: str, symbol: str) -> str:
+    """For the side of a low panel, in lines that are no longer than it is high."""
+    whole = f"{words(name)} ({symbol})"
+    if len(whole) <= PANEL:
+        return whole
+    return "\n".join(textwrap.wrap(words(name), PANEL)) + f"\n({symbol})"
 
 
 def shown(unit: str) -> tuple[float, str]:
