@@ -1,4 +1,4 @@
-"""A vehicle that is known to stand: its velocity and its angular rate are nothing."""
+"""A vehicle that is known to stand: no velocity, no angular rate, and gyroscopes read bias."""
 
 from typing import NamedTuple
 
@@ -11,6 +11,14 @@ from kedge.core.registry import sensors
 
 class Still(NamedTuple):
     velocity: Velocity3
+
+
+class Biased(NamedTuple):
+    gyroscope_bias: AngularRate3
+
+
+class AtRest(NamedTuple):
+    angular_rate: AngularRate3
 
 
 class StillAndSteady(NamedTuple):
@@ -62,3 +70,27 @@ class ZeroMotion(AbstractSensor[StillAndSteady]):
 
     def noise_std(self, state: StillAndSteady) -> StillAndSteady:
         return StillAndSteady(jnp.full(3, self.std), jnp.full(3, self.rate_std))
+
+
+@sensors.add("zero-rate")
+class ZeroRate(AbstractSensor[AtRest]):
+    r"""$z = b_\omega + w$: what gyroscopes read while the vehicle stands is their bias.
+
+    For states that estimate ``gyroscope_bias`` and do not know their angular rate, such as
+    ``strapdown`` with that slow state. A mean over $\Delta t$ of gyroscopes with the density N
+    has the deviation $N / \sqrt{\Delta t}$.
+
+    Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+    Systems", 2nd ed., 2013, section 15.3 (zero updates).
+    """
+
+    reads = Biased
+    measures = AtRest
+    nominal_rate = 10.0
+    std: YawRate = 3e-4
+
+    def observe(self, state: Biased) -> AtRest:
+        return AtRest(state.gyroscope_bias)
+
+    def noise_std(self, state: Biased) -> AtRest:
+        return AtRest(jnp.full(3, self.std))
