@@ -95,8 +95,11 @@ def main() -> None:
         except DataError as error:
             print(f"{name:18s}{error}")
             continue
-        smoothed = problem.filter == "extended" and name not in LARGE
-        names = [problem.filter, f"{problem.filter}+smoother"][: 1 + smoothed]
+        names = [problem.filter]
+        if name == "plaza":
+            names += ["extended", "extended+smoother"]
+        elif problem.filter == "extended" and name not in LARGE:
+            names += ["extended+smoother"]
         for filter, text in figures(problem, names):
             print(f"{name:18s}{filter:24s}{text}")
     if "plaza" not in chosen or not (root / SETS["plaza"][1]).exists():
