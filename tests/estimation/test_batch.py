@@ -217,6 +217,23 @@ def test_an_event_out_of_order_is_late_and_changes_nothing(log, extended):
     assert contents(late.moments) == contents(missing.moments)
 
 
+def test_a_reading_without_a_step_changes_the_moments_of_a_cloud(rig, log, key):
+    """Moments of clouds are computed only where an event has changed something."""
+    schedule = log.schedule
+    some = np.flatnonzero(np.asarray(schedule.sensor) >= 0)[[0, 0, 0]]
+    again = Schedule(
+        jnp.full(3, schedule.time[some[0]]),
+        np.array([schedule.sensor[some[0]], -1, schedule.sensor[some[0]]]),
+        schedule.row[some],
+    )
+    controls = jax.tree.map(lambda leaf: leaf[some], log.controls)
+    found = estimate(EnsembleKalman(count=5), rig, Log(again, controls, log.readings), key)
+    first, nothing, last = np.asarray(found.moments.cov)
+    np.testing.assert_array_equal(nothing, first)
+    assert found.outcome.verdict[2] == Verdict.FUSED
+    assert np.trace(last) < np.trace(first)
+
+
 def test_a_sensor_that_never_fires(rig, log, extended):
     """A part of a log may hold no reading of one of the sensors."""
     none = jax.tree.map(lambda leaf: leaf[:0], log.readings[1])
