@@ -47,7 +47,7 @@ def test_peak_memory_is_flat_from_200_to_20000_runs(tmp_path):
     for name, runs in (("first", 32), ("few", 200), ("many", 20_000)):
         done = subprocess.run(
             [sys.executable, "-c", PEAK, "study", str(tmp_path / "buoy.toml"),
-             "--runs", str(runs), "--out", str(tmp_path / name)],
+             "--runs", str(runs), "--chunk", "100", "--out", str(tmp_path / name)],
             capture_output=True, text=True, check=False, env=users,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

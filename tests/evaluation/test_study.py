@@ -14,6 +14,7 @@ from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation import study_pass
 from kedge.evaluation.study import Study, Trials, run_study, stream
+from kedge.evaluation.study_measure import squared_distance
 from kedge.evaluation.study_scores import (
     Result,
     RunScores,
@@ -241,6 +242,16 @@ def test_a_start_near_the_truth_is_as_far_off_as_the_prior_says():
     assert high - low < 1.5
     lost = Study(scenario, start="prior")
     assert summarise(lost, run_study(lost, {"kalman": Kalman()}, 64)["kalman"])["nees"] > 40
+
+
+@pytest.mark.parametrize("size", [4, 16])
+def test_nees_of_small_and_of_large_states(size):
+    rng = np.random.default_rng(size)
+    root, error = rng.normal(size=(size, size)), 1e3 * rng.normal(size=size)
+    cov, far = jnp.asarray(root @ root.T), jnp.asarray(error)
+    expected = error @ np.linalg.solve(cov, error)
+    np.testing.assert_allclose(squared_distance(cov, far), expected, rtol=1e-9)
+    assert np.isnan(squared_distance(cov.at[1, 1].set(-1.0), far))
 
 
 def test_summaries_leave_out_what_failed_and_count_it(pooled, results):

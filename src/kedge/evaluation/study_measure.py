@@ -14,7 +14,7 @@ from kedge.estimation.log import Log
 from kedge.evaluation.consistency import chi_square_bound
 from kedge.evaluation.study_pass import Believed, Given
 from kedge.evaluation.study_scores import RunScores, TimeSums
-from kedge.numerics.linalg import UNROLLED_COLUMNS, cholesky, solve_lower
+from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS, cholesky, solve_lower
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import Simulation, with_readings
 
@@ -70,8 +70,7 @@ def scored(
         error = jax.vmap(states.boxminus)(actual, own.mean)
         nees = jnp.full(len(plan.events), jnp.nan)
         if own.cov is not None:
-            roots = jax.vmap(cholesky)(own.cov)
-            nees = jnp.sum(jax.vmap(solve_lower)(roots, error) ** 2, axis=1)
+            nees = jax.vmap(squared_distance)(own.cov, error)
         nis = jnp.full(len(plan.sensed), jnp.nan) if own.nis is None else own.nis
         fused = own.verdict == Verdict.FUSED
         judged = _Judged(error**2, nees, nis, 1.0 * own.dof, fused, _tracked(scenario, true))
@@ -98,6 +97,19 @@ def scored(
         nis_dof=added(judged.dof, fused),
     )
     return late, whole, sums, jax.tree.map(lambda leaf: leaf[0], found.mean)
+
+
+def squared_distance(cov: Float[Array, "n n"], error: Float[Array, " n"]) -> Float[Array, ""]:
+    r"""$e^\top P^{-1} e$; NaN where P is not positive definite.
+
+    The last row of the factor of $[P, e; e^\top, c]$ is the whitened error, whatever c is, as
+    long as it is larger: one call of the library instead of two, which takes half as long.
+    """
+    if (size := len(error)) <= UNROLLED:
+        return jnp.sum(solve_lower(cholesky(cov), error) ** 2)
+    corner = jnp.full((1, 1), jnp.finfo(cov.dtype).max / 4, cov.dtype)
+    bordered = jnp.block([[cov, error[:, None]], [error[None], corner]])
+    return jnp.sum(cholesky(bordered)[size, :size] ** 2)
 
 
 class _Judged(NamedTuple):
