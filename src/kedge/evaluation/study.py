@@ -207,7 +207,7 @@ class Trials:
             settled, whole = (RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole))
             shown = example._asdict() if number == 0 else {}
             pieces[name] = Piece(
-                settled, whole, sums, seconds, compiling, shown, shown_truth[0]
+                settled, whole, sums, seconds, compiling, own.compiler, shown, shown_truth[0]
             )
         return Part(pieces, *(first or ()))
 

@@ -82,6 +82,11 @@ class FilterPass:
         """Whether it is compiled."""
         return self._program is not None
 
+    @property
+    def compiler(self) -> str:
+        """Whose code it is, once it is checked: native or xla. Its bits hang on that."""
+        return "xla" if self._native is None else "native"
+
     def check(self, given: Given) -> None:
         """Trace the pass over runs of these shapes.
 

@@ -62,6 +62,8 @@ class Piece(NamedTuple):
     seconds: float = 0.0
     """Of the filter's passes; neither of simulating nor of scoring."""
     compile_seconds: float = 0.0
+    compiler: str = ""
+    """Whose code did the passes: native or xla."""
     example: Mapping[str, np.ndarray] = {}
     """The study's first run: fields of the mean at the scored times; empty in other chunks."""
     track: Mapping[str, np.ndarray] = {}
@@ -91,6 +93,8 @@ class Result(NamedTuple):
     compile_seconds: float = 0.0
     example: Mapping[str, np.ndarray] = {}
     track: Mapping[str, np.ndarray] = {}
+    compiler: str = ""
+    """Whose code did the passes; both, if machines differ."""
 
 
 class Tally:
@@ -107,6 +111,7 @@ class Tally:
         self._sums: dict[str, TimeSums] = {}
         self._seconds = dict.fromkeys(names, 0.0)
         self._compiling = dict.fromkeys(names, 0.0)
+        self._compilers: dict[str, set[str]] = {n: set() for n in names}
         self._examples: dict[str, Mapping[str, np.ndarray]] = {}
         self._tracks: dict[str, Mapping[str, np.ndarray]] = {}
 
@@ -119,6 +124,7 @@ class Tally:
             self._sums[name] = piece.sums if before is None else before.plus(piece.sums)
             self._seconds[name] += piece.seconds
             self._compiling[name] += piece.compile_seconds
+            self._compilers[name].add(piece.compiler)
             if piece.example:
                 self._examples[name], self._tracks[name] = piece.example, piece.track
         self.truth = part.truth or self.truth
@@ -141,6 +147,7 @@ class Tally:
                 compile_seconds=self._compiling[name],
                 example=self._examples.get(name, {}),
                 track=self._tracks.get(name, {}),
+                compiler=" and ".join(sorted(self._compilers[name])),
             )
             for name in self.names
         }
@@ -154,6 +161,7 @@ def pack(part: Part) -> dict[str, np.ndarray]:
             for field, leaf in getattr(piece, group)._asdict().items():
                 found[f"{place}.{group}.{field}"] = np.asarray(leaf)
         found[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
+        found[f"{place}.compiler"] = np.array(piece.compiler)
         for group in ("example", "track"):
             fields = getattr(piece, group).items()
             found |= {f"{place}.{group}.{k}": np.asarray(v) for k, v in fields}
@@ -181,6 +189,7 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
                 TimeSums(**below(f"{place}.sums.")),
                 seconds,
                 compiling,
+                str(arrays[f"{place}.compiler"]),
                 below(f"{place}.example."),
                 below(f"{place}.track."),
             )

@@ -96,6 +96,7 @@ def summarise(study: Study, result: Result) -> dict[str, Any]:
         "seconds": result.seconds,
         "seconds_per_run": result.seconds / len(good),
         "compile_seconds": result.compile_seconds,
+        "compiler": result.compiler,
     }
 
 
