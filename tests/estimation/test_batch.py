@@ -176,10 +176,9 @@ def test_the_chunk_changes_no_draw(rig, log, key):
     )
     means = [
         estimate_runs(filter, rig, many, key, lambda e: e.moments.cov, chunk)
-        for chunk in (1, 2, 3)
+        for chunk in (1, 3)
     ]
-    np.testing.assert_allclose(means[0], means[2], rtol=1e-9)
-    np.testing.assert_allclose(means[1], means[2], rtol=1e-9)
+    np.testing.assert_allclose(means[0], means[1], rtol=1e-9)
     alone = estimate(
         filter,
         rig,

@@ -101,12 +101,16 @@ def test_another_filter_more_runs_or_another_chunk_change_no_number(pooled, resu
         (results[name].runs, results[name].whole),
         (again[name].runs, again[name].whole),
     )
-    wide = run_study(pooled, {name: FILTERS[name]}, 5, chunk=5)
+    # Nine runs are two parts, the second of which is filled up.
+    narrow, wide = (
+        run_study(pooled, {name: FILTERS[name]}, 9, chunk=chunk)[name] for chunk in (3, 9)
+    )
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12),
-        (results[name].runs, results[name].whole, results[name].sums),
-        (wide[name].runs, wide[name].whole, wide[name].sums),
+        (narrow.runs, narrow.whole, narrow.sums),
+        (wide.runs, wide.whole, wide.sums),
     )
+    assert wide.sums.total == 9
     moved = run_study(pooled._replace(seed=4), {name: FILTERS[name]}, 3, chunk=3)
     assert (moved[name].runs.squared != again[name].runs.squared).all()
 

@@ -188,7 +188,11 @@ def test_the_first_run_is_that_of_the_study(buoy):
 @pytest.mark.slow
 @pytest.mark.parametrize("runs", [1, 3])
 def test_a_state_without_a_position(tmp_path, reader, runs):
-    changes = {"scenario.duration": "40.0", "scenario.runs": "3"}
+    changes = {
+        "scenario.duration": "20.0",
+        "scenario.burn_in": "5.0",
+        "scenario.filters": '["extended", "ensemble:count=10"]',
+    }
     setting = load_scenario("lorenz63", changes)
     text = write_study_report(tmp_path, study_content(setting, runs)).read_text()
     page = reader(text)

@@ -99,10 +99,12 @@ def _smooth(rig: Rig, log: Log, iterations: int, initial: Any) -> tuple[Estimate
     spread = jax.vmap(lambda mean: Gaussian(mean, rig.prior.cov))(along)
     used = _outcomes(filter, rig, log, events, spread).verdict == Verdict.FUSED
 
-    filtered, smoothed = _linear(rig, log, filter, events, used, along)
-    for _ in range(iterations - 1):
-        along = smoothed.mean
-        filtered, smoothed = _linear(rig, log, filter, events, used, along)
+    def about(along: Any) -> tuple[Gaussian, Gaussian]:
+        return _linear(rig, log, filter, events, used, along)
+
+    # A loop, so that one iteration is compiled and not all of them.
+    along = lax.fori_loop(0, max(iterations - 1, 0), lambda _, last: about(last)[1].mean, along)
+    filtered, smoothed = about(along)
 
     def passed(before: Gaussian, event: _Event) -> Gaussian:
         key = jax.random.key(0)  # none of these filters draws

@@ -1,7 +1,7 @@
 """Many runs of one schedule: Monte Carlo, batched in chunks that the cores share."""
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -53,13 +53,13 @@ def estimate_runs(
         raise DataError(f"runs: found {sorted(counts)} of them, expected one number above 0")
     (count,) = counts
     filter, rig = as_arrays((filter, rig))
-    shared, own = (
+    common, own = (
         ft.partial(jax.tree.map, lambda _: False),
         ft.partial(jax.tree.map, lambda _: True),
     )
     flags = (
-        shared((filter, rig)),
-        Log(shared(log.schedule), own(log.controls), own(log.readings)),
+        common((filter, rig)),
+        Log(common(log.schedule), own(log.controls), own(log.readings)),
     )
     native = compiled_pass(
         filter, rig, log, False, engine, keep, flags, count * len(log.schedule.time)
@@ -68,7 +68,7 @@ def estimate_runs(
         # It reads plain memory, so that parts need no copy, and uses all cores by itself.
         log = jax.tree.map(np.asarray, log)
         step = chunk or native.most_runs(log)
-        return _joined([
+        return joined([
             native.over(filter, rig, _part(log, begin, step), min(step, count - begin))
             for begin in range(0, count, step)
         ])  # fmt: skip
@@ -82,11 +82,14 @@ def estimate_runs(
         some = _part(log, begin, step)
         return jax.block_until_ready(_some(filter, rig, some, index, key, keep))
 
-    # The first call compiles; then the compiled program runs outside Python's lock.
-    parts = [part(0)]
+    # The first call compiles.
+    return joined([part(0), *shared(part, range(step, count, step))])
+
+
+def shared(part: Callable[[int], Any], parts: Iterable[int]) -> list[Any]:
+    """What compiled programs make of each part: the cores share them, outside Python's lock."""
     with ThreadPoolExecutor(cores()) as pool:
-        parts += pool.map(part, range(step, count, step))
-    return _joined(parts)
+        return list(pool.map(part, parts))
 
 
 def _part(log: Log, begin: int, step: int) -> Log:
@@ -94,7 +97,8 @@ def _part(log: Log, begin: int, step: int) -> Log:
     return Log(log.schedule, *own)
 
 
-def _joined(parts: list[Any]) -> Any:
+def joined(parts: list[Any]) -> Any:
+    """Trees of arrays, one after the other along the first axis."""
     if len(parts) == 1:
         return parts[0]
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)

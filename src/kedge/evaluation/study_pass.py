@@ -17,8 +17,12 @@ from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.log import Log, Schedule
 from kedge.estimation.native import by_run
 from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.runs import joined, shared
 from kedge.estimation.traced import Estimates, pass_over
 from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS
+
+PART = 8
+"""Runs that XLA does at once. The cores share a chunk's parts, and bits hang on no core."""
 
 
 class Given(NamedTuple):
@@ -108,7 +112,8 @@ class FilterPass:
             self._filter, rig, log, False, self._engine, pick, flags, self._work
         )
         if self._native is None:
-            self._lowered = _batch.lower(*self._arguments(given, np.arange(_runs(given))))
+            rows = _parts(_runs(given))[0]
+            self._lowered = _batch.lower(*self._arguments(_taken(given, rows), rows))
         self.compile_seconds += time.perf_counter() - begin
 
     def compile(self, given: Given) -> None:
@@ -142,7 +147,14 @@ class FilterPass:
         program, self._lowered = self._lowered.compile(), None
 
         def over(given: Given, index: Int[np.ndarray, " runs"]) -> Believed:
-            return jax.block_until_ready(program(*self._arguments(given, index)))
+            parts = _parts(len(index))
+
+            def part(number: int) -> Believed:
+                some = _taken((given, index), parts[number])
+                return jax.block_until_ready(program(*self._arguments(*some)))
+
+            found = joined(shared(part, range(len(parts))))
+            return jax.tree.map(lambda leaf: leaf[: len(index)], found)
 
         return over
 
@@ -184,6 +196,17 @@ def _told(rig: Any, log: Log, given: Given) -> tuple[Any, Log]:
 
 def _runs(given: Given) -> int:
     return jax.tree.leaves(given)[0].shape[0]
+
+
+def _parts(runs: int) -> list[Int[np.ndarray, " part"]]:
+    """Rows of equally many runs each; the last run fills up what is left."""
+    count = -(-runs // PART)
+    size = -(-runs // count)
+    return list(np.minimum(np.arange(count * size), runs - 1).reshape(count, size))
+
+
+def _taken(tree: Any, rows: Int[np.ndarray, " part"]) -> Any:
+    return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
 def _many(
