@@ -1,10 +1,11 @@
 """A start of which the heading is not known, found among several."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kedge.core.beliefs import Gaussian
+from kedge.core.beliefs import Gaussian, Mixture
 from kedge.core.errors import ContractError
 from kedge.core.rotations import rotate
 from kedge.filters.dead_reckoning import DeadReckoning
@@ -63,6 +64,24 @@ def test_fixes_on_the_way_tell_the_heading():
     assert abs(heading - np.pi / 2) < 0.3
     np.testing.assert_allclose(jnp.exp(belief.log_weights).sum(), 1.0)
     assert np.isfinite(belief.moments().cov).all()
+
+
+def test_who_is_lost_may_face_anywhere_again():
+    """Hypotheses that have become one stand around the circle anew, where it was, but wider."""
+    bank = Hypotheses(count=4)
+    start = State(jnp.array([3.0, -2.0]), jnp.array(0.5))
+    one = Gaussian(start, jnp.diag(jnp.array([0.04, 0.09, 0.01])))
+    copies = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 4), one)
+    belief = Mixture(copies, jnp.log(jnp.array([0.97, 0.01, 0.01, 0.01])))
+    anew = bank.regained(belief, 100.0)
+    ahead = jnp.exp(1j * anew.components.mean.heading)
+    np.testing.assert_allclose(ahead.sum(), 0.0, atol=1e-12)
+    np.testing.assert_allclose(jnp.exp(anew.log_weights), 0.25)
+    np.testing.assert_allclose(anew.moments().mean.position, [3.0, -2.0])
+    np.testing.assert_allclose(jnp.diag(anew.moments().cov)[:2], [4.0, 9.0])
+    # Also inside a filter around it.
+    inside = Robust(bank).regained(belief, 100.0)
+    np.testing.assert_allclose(inside.components.mean.heading, anew.components.mean.heading)
 
 
 def test_what_it_refuses():

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from kedge.core.beliefs import Ensemble, Gaussian, Particles
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
+from kedge.filters.square_root import SqrtGaussian
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.testing import quick_jit
@@ -93,3 +95,31 @@ def test_a_reading_with_a_wrong_scale_is_told_by_the_state(vehicle):
     state = vehicle.start()._replace(position=jnp.array([17.0, 26.0]), range_scale=1.1)
     seen = quick_jit(lambda s: Landmarks().facing(0).expect(s))(state)
     np.testing.assert_allclose(seen.range, 1.1 * 5)  # the landmark stands 3 m east, 4 m north
+
+
+def forms_of(belief):
+    """The same moments in every form that a filter carries; members drawn with a fixed seed."""
+    states = space(belief.mean)
+    draws = np.random.default_rng(1).normal(size=(500, states.size))
+    members = jax.vmap(states.boxplus, (None, 0))(
+        belief.mean, draws @ np.linalg.cholesky(belief.cov).T
+    )
+    yield belief
+    yield SqrtGaussian(belief.mean, jnp.linalg.cholesky(belief.cov))
+    yield Ensemble.of(members)
+    yield Particles(members, jnp.full(500, -jnp.log(500.0)))
+
+
+def test_who_is_lost_keeps_his_instruments(vehicle):
+    """Widening multiplies the vehicle's own covariance; that of slow quantities stays."""
+    size = space(vehicle.start()).size
+    factor = np.random.default_rng(0).normal(size=(size, size))
+    belief = Gaussian(vehicle.start(), jnp.asarray(0.001 * factor @ factor.T))
+    own = 3  # position and heading
+    grown = np.where(np.arange(size) < own, 5.0, 1.0)
+    for form in forms_of(belief):
+        before, after = form.moments(), form.widened(25.0).moments()
+        np.testing.assert_allclose(after.cov, before.cov * np.outer(grown, grown), rtol=1e-9)
+        np.testing.assert_allclose(
+            space(after.mean).boxminus(after.mean, before.mean), 0.0, atol=1e-9
+        )

@@ -7,10 +7,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from kedge.core.manifolds import Chart, Euclidean, space
+from kedge.core.manifolds import Chart, Euclidean, slow_of, space
 from kedge.core.rotations import Scalar
 
 State = Any
+
+
+def stretch(state: State, factor: Scalar) -> Scalar | Float[Array, " n"]:
+    r"""By what errors about a state grow where their covariance is multiplied by ``factor``.
+
+    $\sqrt{f}$, but 1 for slow quantities: a vehicle that has lost its way still has the wheels
+    and radios that it had, and a scale with a spread of ten is soon 0 or below.
+    """
+    root, slow = jnp.sqrt(factor), slow_of(type(state))
+    return jnp.where(jnp.array(slow), 1.0, root) if any(slow) else root
+
+
+def widened_cov(
+    state: State, cov: Float[Array, "*batch n n"], factor: Scalar
+) -> Float[Array, "*batch n n"]:
+    """A covariance of errors that grew by :func:`stretch`; correlations stay."""
+    grown = stretch(state, factor)
+    if jnp.ndim(grown) == 0:
+        return cov * factor
+    return cov * jnp.broadcast_to(grown[:, None] * grown[None], cov.shape)
 
 
 class Gaussian(NamedTuple):
@@ -24,8 +44,8 @@ class Gaussian(NamedTuple):
         return self
 
     def widened(self, factor: Scalar) -> "Gaussian":
-        """The same mean, the covariance multiplied by ``factor``."""
-        return Gaussian(self.mean, self.cov * factor)
+        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        return Gaussian(self.mean, widened_cov(self.mean, self.cov, factor))
 
 
 @runtime_checkable
@@ -37,7 +57,7 @@ class Belief(Protocol):
         ...
 
     def widened(self, factor: Scalar) -> Any:
-        """A belief like this one with the same mean and ``factor`` times the covariance."""
+        """The same mean and ``factor`` times the covariance, but for slow quantities."""
         ...
 
 
@@ -92,9 +112,10 @@ class Ensemble(NamedTuple):
         return type(self.columns)(*parts), jnp.concatenate(spreads)
 
     def widened(self, factor: Scalar) -> "Ensemble":
-        """The anomalies multiplied by the root of ``factor``."""
+        """The anomalies multiplied as :func:`stretch` says."""
         mean, anomalies = self.centred()
-        return Ensemble.around(mean, jnp.sqrt(factor) * anomalies)
+        grown = jnp.broadcast_to(stretch(mean, factor), anomalies.shape[:1])
+        return Ensemble.around(mean, grown[:, None] * anomalies)
 
     @classmethod
     def around(cls, mean: State, anomalies: Float[Array, "n N"]) -> "Ensemble":
@@ -159,7 +180,7 @@ class Particles(NamedTuple):
         return weighted_moments(self.states, jnp.exp(self.log_weights))
 
     def widened(self, factor: Scalar) -> "Particles":
-        """The distances from the mean multiplied by the root of ``factor``."""
+        """The distances from the mean multiplied as :func:`stretch` says."""
         states = _stretched(self.states, self.moments().mean, factor)
         return self._replace(states=states, last=self.last and self.last.used())
 
@@ -187,12 +208,10 @@ class Mixture(NamedTuple):
 
 
 def _stretched(states: State, mean: State, factor: Scalar) -> State:
-    manifold = space(states)
-
-    def stretch(state):
-        return manifold.boxplus(mean, jnp.sqrt(factor) * manifold.boxminus(state, mean))
-
-    return jax.vmap(stretch)(states)
+    manifold, grown = space(states), stretch(mean, factor)
+    return jax.vmap(
+        lambda state: manifold.boxplus(mean, grown * manifold.boxminus(state, mean))
+    )(states)
 
 
 def weighted_moments(states: State, weights: Float[Array, " N"]) -> Gaussian:

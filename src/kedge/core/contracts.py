@@ -254,6 +254,14 @@ class AbstractFilter(eqx.Module, Generic[B]):
     ) -> tuple[B, Innovation]:
         """Condition the belief on one measurement."""
 
+    def regained(self, belief: B, factor: Scalar) -> B:
+        """The belief from which the state is looked for again, after it was found wrong.
+
+        ``factor`` is by how much its covariance was too small, as far as a reading can tell.
+        """
+        spread: Any = belief
+        return spread.widened(factor)
+
 
 class AbstractGaussianFilter(AbstractFilter[Any]):
     """A filter whose belief is one Gaussian and whose prediction can be smoothed.

@@ -236,6 +236,21 @@ class Space(Generic[S]):
         return [vector[cut] for cut in self.slices().values()]
 
 
+SLOW = "slow"
+"""Annotation of a field that a vehicle takes along: biases, scales, the current around it."""
+
+
+@ft.cache
+def slow_of(cls: Any) -> tuple[bool, ...]:
+    """For each tangent component of a ``NamedTuple``: whether its field is marked ``SLOW``."""
+    hints = get_type_hints(cls, include_extras=True)
+    return tuple(
+        SLOW in getattr(hints[name], "__metadata__", ())
+        for name, chart in charts_of(cls).items()
+        for _ in range(chart.size)
+    )
+
+
 @ft.cache
 def charts_of(cls: Any) -> dict[str, Chart]:
     """Field name to chart, read from the annotations of a ``NamedTuple``.

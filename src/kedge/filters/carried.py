@@ -2,7 +2,7 @@
 
 import functools as ft
 from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from kedge.core.contracts import (
     Innovation,
 )
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import charts_of, space, space_of
+from kedge.core.manifolds import space, space_of
 from kedge.core.quantities import Scalar
 from kedge.core.registry import unknown
 from kedge.filters.wrapper import AbstractWrapper
@@ -104,6 +104,10 @@ class Carried(AbstractWrapper):
         """The inner belief."""
         return belief.inner
 
+    def regained(self, belief: Carrying, factor: Scalar) -> Carrying:
+        """The inner filter's; what is carried along stays."""
+        return Carrying(self.inner.regained(belief.inner, factor), belief.rest, belief.cls)
+
 
 def carrying(inner: AbstractFilter, fields: Sequence[str]) -> AbstractFilter:
     """The filter itself if nothing is carried."""
@@ -156,7 +160,8 @@ class _PartOfModel(AbstractMeasurementModel[Any]):
 
 @ft.cache
 def _part_class(cls: Any, without: frozenset[str]) -> Any:
-    kept = [(n, Annotated[Any, c]) for n, c in charts_of(cls).items() if n not in without]
+    hints = get_type_hints(cls, include_extras=True)
+    kept = [(name, hint) for name, hint in hints.items() if name not in without]
     create: Any = NamedTuple  # a type checker wants the fields written out
     return create(f"PartOf{cls.__name__}", kept)
 

@@ -120,7 +120,8 @@ class GateOrStudent(AbstractWrapper):
         widening = jnp.maximum(score.nis / jnp.maximum(score.dof, 1), 1.0)
         widening = jnp.where(lost & jnp.isfinite(widening), widening, 1.0)
         eased = Inflated(model, jnp.where(trusted | lost, 1.0, tails))
-        wide = belief.belief.widened(widening)
+        anew = self.inner.regained(belief.belief, widening)
+        wide = jax.tree.map(lambda new, old: jnp.where(lost, new, old), anew, belief.belief)
         posterior, _ = self.inner.update(eased, wide, measurement, key)
         threshold = jnp.where(trusted, jnp.minimum(own, score.threshold), jnp.inf)
         refused = trusted & outside

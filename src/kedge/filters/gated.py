@@ -147,13 +147,15 @@ def regain(
 
     The belief's covariance is multiplied by $\epsilon / d$ first, the ratio of the normalised
     innovation squared to its expectation: what the reading says becomes plausible, so the
-    state goes there in one update, and its covariance says how little is known.
+    state goes there in one update, and its covariance says how little is known. Slow
+    quantities keep theirs: a vehicle that is lost has not changed its wheels or its radios.
+    A filter may do more (:meth:`kedge.core.contracts.AbstractFilter.regained`).
     """
     posterior, score = judged
     refused = lost & ~(score.nis <= score.threshold)
     factor = jnp.maximum(score.nis / jnp.maximum(score.dof, 1), 1.0)
     factor = jnp.where(refused & jnp.isfinite(factor), factor, 1.0)
-    anew, again = filter.update(model, belief.widened(factor), measurement, key)
+    anew, again = filter.update(model, filter.regained(belief, factor), measurement, key)
     again = again._replace(threshold=jnp.full_like(jnp.asarray(score.threshold), jnp.inf))
     return jax.tree.map(
         lambda new, old: jnp.where(refused, new, old), (anew, again), (posterior, score)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian
+from kedge.core.beliefs import Gaussian, widened_cov
 from kedge.core.contracts import (
     AbstractGaussianFilter,
     AbstractMeasurementModel,
@@ -38,8 +38,8 @@ class RepairedGaussian(NamedTuple):
         return Gaussian(self.mean, self.cov)
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean, the covariance multiplied by ``factor``."""
-        return self._replace(cov=self.cov * factor)
+        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        return self._replace(cov=widened_cov(self.mean, self.cov, factor))
 
 
 class AbstractMomentPrediction(AbstractGaussianFilter):

@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.random as jr
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -40,7 +41,8 @@ class Hypotheses(AbstractFilter[Mixture]):
 
     What turns is the state's ``heading`` or, without one, its ``attitude`` about the map's
     vertical axis, for a vehicle that starts about level. The prior's variance of it is not
-    looked at. With neither there is one start, and all hypotheses are the same.
+    looked at. With neither there is one start, and all hypotheses are the same. A gate that
+    gives up its belief (``recovery``) starts the bank anew, where it believed to be, widened.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 11.6.2 (static multiple models); M. Roth, E. Özkan,
@@ -81,6 +83,13 @@ class Hypotheses(AbstractFilter[Mixture]):
 
         components = jax.vmap(turned)(gap * jnp.arange(self.count))
         return Mixture(components, weights)
+
+    def regained(self, belief: Mixture, factor: Scalar) -> Mixture:
+        """All around the circle again, from the widened moments.
+
+        The hypotheses have become one on the way, and who is lost may face anywhere.
+        """
+        return self.init(belief.moments().widened(factor), jr.key(0))
 
     def predict(
         self,

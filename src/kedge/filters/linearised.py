@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian
+from kedge.core.beliefs import Gaussian, widened_cov
 from kedge.core.contracts import (
     AbstractGaussianFilter,
     AbstractMeasurementModel,
@@ -42,8 +42,8 @@ class Anchored(NamedTuple):
         return Gaussian(self.mean, self.cov)
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean, the covariance multiplied by ``factor``."""
-        return self._replace(cov=self.cov * factor)
+        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        return self._replace(cov=widened_cov(self.mean, self.cov, factor))
 
 
 @filters.add("linearised")

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian
+from kedge.core.beliefs import Gaussian, stretch
 from kedge.core.contracts import (
     AbstractFilter,
     AbstractGaussianFilter,
@@ -35,8 +35,9 @@ class SqrtGaussian(NamedTuple):
         return Gaussian(self.mean, self.root @ jnp.swapaxes(self.root, -1, -2))
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean, the covariance multiplied by ``factor``."""
-        return self._replace(root=self.root * jnp.sqrt(factor))
+        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        grown = jnp.broadcast_to(stretch(self.mean, factor), self.root.shape[-1:])
+        return self._replace(root=self.root * jnp.broadcast_to(grown[:, None], self.root.shape))
 
 
 @filters.add("square-root")

@@ -36,6 +36,12 @@ class AbstractWrapper(AbstractFilter[Any]):
         """The inner filter's prediction."""
         return self.inner.predict(vehicle, belief, control, dt, key)
 
+    def regained(self, belief: Any, factor: Scalar) -> Any:
+        """The inner filter's; what the wrapper itself keeps stays."""
+        bare = self.unwrap(belief)
+        inner = self.inner.regained(bare, factor)
+        return inner if bare is belief else belief._replace(belief=inner)
+
     def unwrap(self, belief: Any) -> Any:
         """The inner filter's belief inside this one's."""
         return belief

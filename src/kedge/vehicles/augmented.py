@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import Chart, charts_of, space
+from kedge.core.manifolds import SLOW, Chart, charts_of, space
 from kedge.core.quantities import Scalar
 
 
@@ -163,6 +163,7 @@ def _charts_of_parameters(cls: type) -> dict[str, Chart]:
 @ft.cache
 def _widened(cls: Any, extra: tuple[tuple[str, Chart], ...]) -> Any:
     """The ``NamedTuple`` class of ``cls`` with fields added; one class for equal arguments."""
-    fields = [(n, Annotated[Any, c]) for n, c in (*charts_of(cls).items(), *extra)]
+    fields = list(get_type_hints(cls, include_extras=True).items())
+    fields += [(n, Annotated[Any, c, SLOW]) for n, c in extra]
     create: Any = NamedTuple  # a type checker wants the fields written out
     return create(f"Augmented{cls.__name__}", fields)
