@@ -35,6 +35,8 @@ SETS = {
 LARGE = ("lias_trolley",)  # its smoother would keep gigabytes
 SHARE, LEAST, MEAN = 0.2, 5.0, 20.0  # of the ranges, lengthened by LEAST + Exp(MEAN) m
 
+DEAD, PATIENCE, NEAR = 40.0, 200.0, 1.5  # s without odometer, s to be found again, m
+
 NO_GATE = {"sensors.radio.gate": "1e-300"}
 ROBUST = {
     "gate, recovery": {},
@@ -80,6 +82,28 @@ def spoilt(problem: Problem) -> Problem:
     return problem._replace(recording=recording._replace(log=log))
 
 
+def carried_away(problem: Problem, names: Sequence[str]) -> None:
+    """At twelve times the odometer says for 40 s that it stands: who is found again?"""
+    log = problem.recording.log
+    at = np.asarray(log.schedule.time)
+    for name in names:
+        took = []
+        for start in np.linspace(150.0, 1650.0, 12):
+            dead = (at > start) & (at <= start + DEAD)
+            controls = type(log.controls)(*(jnp.where(dead, 0.0, v) for v in log.controls))
+            recording = problem.recording._replace(log=log._replace(controls=controls))
+            (run,) = run_filters(problem._replace(recording=recording), [name], 0, quiet)
+            off = np.linalg.norm(run.errors.error[:, run.errors.fields["position"]], axis=1)
+            since = run.errors.time - start - DEAD
+            late = since[(since < PATIENCE) & (since > -DEAD) & (off > NEAR)]
+            took.append(max(float(late.max(initial=0.0)), 0.0))
+        found = sum(seconds < PATIENCE - 5.0 for seconds in took)
+        print(
+            f"{'carried away':18s}{name:28s}found again {found} of {len(took)}, median "
+            f"{np.median(took):.0f} s"
+        )
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -113,6 +137,9 @@ def main() -> None:
             filter = "gate-or-student" if name == "gate or Student" else "extended"
             ((_, text),) = figures(problem, [filter])
             print(f"{what:24s}{name:18s}{text}")
+    carried_away(
+        load_problem("plaza", log), ["extended", "hypotheses", "hypotheses:inner=unscented"]
+    )
     alone = "{speed_scale={std=0.05}, yaw_rate_scale={std=0.05}}"
     problem = load_problem("plaza", log, overrides=NO_GATE | {"vehicle.slow": alone})
     ((_, text),) = figures(problem, ["extended"])
