@@ -27,8 +27,8 @@ def widened_cov(
     state: State, cov: Float[Array, "*batch n n"], factor: Scalar
 ) -> Float[Array, "*batch n n"]:
     """A covariance of errors that grew by :func:`stretch`; correlations stay."""
-    grown = stretch(state, factor)
-    if jnp.ndim(grown) == 0:
+    grown = jnp.asarray(stretch(state, factor))
+    if grown.ndim == 0:
         return cov * factor
     return cov * jnp.broadcast_to(grown[:, None] * grown[None], cov.shape)
 
