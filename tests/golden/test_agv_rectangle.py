@@ -6,13 +6,13 @@ from kedge.apps.study import Options, execute
 from kedge.evaluation.study_claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
-COUNTS = 20, 50, 100, 300, 500
+COUNTS = 20, 100, 500
 
 
 @pytest.fixture(scope="module")
 def rectangle():
     ensembles = [f"ensemble:count={count}" for count in COUNTS]
-    names = ["kalman", "extended", "unscented", *ensembles, "etkf:count=100", "etkf:count=500"]
+    names = ["kalman", "extended", "unscented", *ensembles, "etkf:count=100"]
     return execute("agv-rectangle", Options(filters=",".join(names), chunk=50))
 
 
@@ -38,10 +38,7 @@ def test_more_members_are_better_and_square_roots_better_still(rectangle):
     ratios = [ratio(rectangle, f"ensemble:count={count}") for count in COUNTS]
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] > 1
-    for count in (100, 500):
-        assert ratio(rectangle, f"etkf:count={count}") < ratio(
-            rectangle, f"ensemble:count={count}"
-        )
+    assert ratio(rectangle, "etkf:count=100") < ratio(rectangle, "ensemble:count=100")
 
 
 def test_matched_filters_are_consistent():
