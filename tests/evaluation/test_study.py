@@ -10,7 +10,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
-from kedge.evaluation.study import Study, Trials, run_study, stream
+from kedge.evaluation.study import Study, Trials, plan_of, run_study, stream
 from kedge.evaluation.study_measure import squared_distance
 from kedge.evaluation.study_scores import (
     Result,
@@ -24,6 +24,7 @@ from kedge.evaluation.study_summary import (
     compare,
     curves,
     interval,
+    share,
     summarise,
     summarise_study,
     windows,
@@ -49,7 +50,8 @@ FILTERS = {"kalman": Kalman(), "ensemble:count=8": EnsembleKalman(count=8)}
 
 @pytest.fixture(scope="module")
 def pooled():
-    return Study(SCENARIO, burn_in=2.0, seed=3)
+    spans = {"early": [(0.0, 2.0)], "gap": [(3.1, 3.4)]}
+    return Study(SCENARIO, burn_in=2.0, seed=3, windows=spans)
 
 
 @pytest.fixture(scope="module")
@@ -63,21 +65,24 @@ def by_hand(study, filter, name, run):
     plan = schedule(study.scenario, 1 / study.scenario.dt)
     log = with_readings(plan.log, study.scenario, truth)
     key = jr.fold_in(stream(study.seed, f"filter {name}"), run)
-    mean = estimate(filter, RIG, log, key).moments.mean
+    mean, cov = estimate(filter, RIG, log, key).moments
     last = plan.outputs  # after control and reading of the same time
     error = np.concatenate(
         [np.asarray(a) - np.asarray(b)[last] for a, b in zip(truth.truth, mean, strict=True)],
         axis=1,
     )
-    time = plan.stamps[last] / 1e9
-    return error[time > study.burn_in], (time % 2 == 0)[time > study.burn_in]
+    time, std = plan.stamps[last] / 1e9, np.sqrt(np.diagonal(cov[last], axis1=1, axis2=2))
+    late = time > study.burn_in
+    return error[late], (time % 2 == 0)[late], std[late]
 
 
 def test_scores_are_those_of_a_run_by_hand(pooled, results):
-    error, sensed = by_hand(pooled, Kalman(), "kalman", 4)
+    error, sensed, std = by_hand(pooled, Kalman(), "kalman", 4)
     assert len(error) == 16
     squared = results["kalman"].runs.squared[4]
     np.testing.assert_allclose(squared, np.mean(error**2, axis=0), rtol=1e-9)
+    inside = np.mean(np.abs(error) <= 3 * std, axis=0)
+    np.testing.assert_allclose(results["kalman"].runs.within[4], inside, rtol=1e-9)
 
     analysed = run_study(pooled._replace(score="time-mean-rms"), {"kalman": Kalman()}, 5)
     expected = np.mean(np.sqrt(np.mean(error[sensed] ** 2, axis=1)))
@@ -87,7 +92,7 @@ def test_scores_are_those_of_a_run_by_hand(pooled, results):
 
 def test_random_filters_draw_from_their_own_stream(pooled, results):
     name = "ensemble:count=8"
-    error, _ = by_hand(pooled, FILTERS[name], name, 1)
+    error, *_ = by_hand(pooled, FILTERS[name], name, 1)
     squared = results[name].runs.squared[1]
     np.testing.assert_allclose(squared, np.mean(error**2, axis=0), rtol=1e-9)
 
@@ -144,8 +149,8 @@ def test_chunks_are_the_same_in_any_order_and_after_a_file(pooled, results):
         assert found.compiler == whole.compiler
         jax.tree.map(
             np.testing.assert_array_equal,
-            (found.runs, found.whole, found.sums, found.example),
-            (whole.runs, whole.whole, whole.sums, whole.example),
+            (found.runs, found.whole, found.windows, found.sums, found.example),
+            (whole.runs, whole.whole, whole.windows, whole.sums, whole.example),
         )
     assert tally.truth["position"].shape == (20, 2)
     assert tally.readings["gnss.position"].shape == (5, 2)
@@ -169,13 +174,29 @@ def test_sums_over_time_agree_with_scores_by_run(pooled, results):
         assert low < 4 < high
         assert (drawn.nis_bounds[0] < 1).all()
         assert (drawn.nis_bounds[1] > 1).all()
-        spans = {"early": [(0.0, 2.0)], "gap": [(3.1, 3.4)]}
-        found = windows(pooled, trials.plan, result, spans)
-        assert found["gap"] == {}
-        np.testing.assert_allclose(
-            found["else"]["rmse"]["velocity"] ** 2,
-            result.runs.squared[:, 2:].sum(axis=1).mean(),
-        )
+
+
+def test_windows_are_scored_as_the_whole_is(pooled, results):
+    """The burn-in's rest is what the whole is scored by; a window between steps is left out."""
+    result = results["kalman"]
+    found = windows(pooled, plan_of(pooled), result)
+    assert list(found) == ["early", "else"]
+    whole = summarise(pooled, result)
+    for key in ("rmse", "rmse_ci", "nees", "nees_ci", "within_3_sigma", "coverage_95"):
+        assert found["else"][key] == whole[key], key
+    assert found["early"]["nees"] != whole["nees"]
+    np.testing.assert_allclose(
+        4 * found["early"]["nees"] + 16 * found["else"]["nees"], 20 * whole["all_steps"]["nees"]
+    )
+
+
+def test_a_share_has_its_interval():
+    """Clopper and Pearson's for 0, 1 and all of 10: in closed form, and as tables have it."""
+    tail = 1 - 0.025 ** (1 / 10)
+    np.testing.assert_allclose(share(np.zeros(10)), (0.0, 0.0, tail))
+    np.testing.assert_allclose(share(np.ones(10)), (1.0, 1 - tail, 1.0))
+    np.testing.assert_allclose(share(np.eye(10)[0]), (0.1, 0.0025, 0.4450), atol=5e-5)
+    assert np.isnan(share(np.array([]))).all()
 
 
 def test_ratios_are_paired(pooled, results):
@@ -222,7 +243,9 @@ def _runs(squared, times=None):
     rows = len(squared)
     once = np.ones(rows)
     ones, none = np.ones((rows, 1)), np.zeros((rows, 0))
-    return RunScores(once if times is None else times, squared, once, once, ones, ones, none)
+    inside = np.ones_like(squared)
+    each = once if times is None else times
+    return RunScores(each, squared, once, once, inside, ones, ones, none)
 
 
 def test_a_start_near_the_truth_is_as_far_off_as_the_prior_says():
@@ -253,6 +276,7 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
         squared=np.array([[1.0, 3.0, 1.0, 1.0], [4.0, 8.0, 1.0, 1.0], [np.nan] * 4]),
         nees=np.array([3.0, 5.0, np.nan]),
         coverage=np.array([1.0, 0.5, 0.0]),
+        within=np.array([[1.0, 0.5, 1.0, 1.0], [1.0, 1.0, 1.0, 0.0], [0.0] * 4]),
         nis=np.array([[1.0], [np.nan], [np.nan]]),
         nis_dof=np.array([[2.0], [np.nan], [np.nan]]),
         tracked=np.zeros((3, 0)),
@@ -267,6 +291,8 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
     assert (found["score"], found["score_of"]) == (found["rmse"]["position"], "position")
     assert (found["time_mean_rms"], found["nees"], found["coverage_95"]) == (2.0, 4.0, 0.75)
     assert (found["nis"]["gnss"], found["nis_dof"]["gnss"]) == (1.0, 2.0)
+    within = found["within_3_sigma"]
+    assert (within["position_x"], within["position"], within["velocity_y"]) == (1.0, 0.75, 0.5)
     timed = summarise(pooled._replace(score="time-mean-rms"), result)
     assert (timed["score"], timed["score_of"]) == (2.0, "time-mean-rms")
 

@@ -30,7 +30,8 @@ def evidence():
 
     def result(squared, seconds):
         squared = np.repeat(squared[:, None], 4, 1)
-        runs = RunScores(once, squared, 4 * noise, once, none, none, none)
+        inside = np.ones((300, 4))
+        runs = RunScores(once, squared, 4 * noise, once, inside, none, none, none)
         return Result(runs, runs, sums, seconds)
 
     results = {

@@ -40,6 +40,7 @@ duration = 12.0
 dt = 0.5
 burn_in = 2.0
 filters = ["kalman", "extended", "dead-reckoning", "ensemble:count=8", "ensemble:count=16"]
+featured = ["ensemble:count=8", "kalman"]
 
 [vehicle]
 model = "constant-velocity"
@@ -90,7 +91,8 @@ def study_content(setting, runs, chunk=16):
 
 def study_of(setting):
     about = setting.config.scenario
-    return Study(setting.scenario, about.burn_in, about.score, about.start)
+    how = about.burn_in, about.score, about.start
+    return Study(setting.scenario, *how, windows=setting.config.windows)
 
 
 @pytest.fixture(scope="module")
@@ -140,8 +142,8 @@ def test_it_says_what_matters(said, buoy):
     assert f"kalman: {value} m rms position error, over 5 runs; the 4 others have" in said
     assert "Of the claims, 1 is false." in said
     assert "Not as expected: kalman.rmse.position" in said
-    for words in ("Readings make it worse", "They do not", "position, corner", "0.489 m",
-                  "Table 3", "After the first 2 s", "All steps", "kedge study buoy",
+    for words in ("Readings make it worse", "They do not", "corner", "position in 3 σ",
+                  "0.489 m", "Table 3", "After the first 2 s", "All steps", "kedge study buoy",
                   buoy.summary["digest"]["result"]):  # fmt: skip
         assert words in said
 
@@ -177,6 +179,7 @@ def test_the_first_run_is_that_of_the_study(buoy):
     position, velocity = tracks(buoy)
     assert (position.name, velocity.name) == ("position", "velocity")
     assert position.truth.shape == position.estimates["kalman"].shape == (24, 2)
+    assert list(position.estimates) == ["ensemble:count=8", "kalman"]  # as the scenario says
     seen = position.seen[0]
     assert seen.values.shape == (24, 2)
     # Readings every 0.5 s with 0.5 m of noise, of the truth at their own times.
@@ -244,6 +247,7 @@ def test_curves_that_agree_share_a_line_and_a_panel():
         assert "kalman" in panel.lines[0].names
     ensemble = next(panel for panel in split if panel.title == "ensemble")
     assert short(ensemble.lines[1], ensemble) == "N = 2"
+    assert featured(many, ["unscented", "nobody"]) == ["unscented"]
     assert featured(many) == ["kalman", "extended", "unscented", "ensemble:count=8"] or set(
         featured(many)
     ) == {"kalman", "extended", "unscented", "ensemble:count=8"}

@@ -314,7 +314,12 @@ def test_steps_that_are_too_long_for_the_vehicle(tmp_path):
     )
     with pytest.raises(ContractError, match=message):
         load_problem(*given)
-    assert load_problem(*given, overrides={"output.rate": "2"}).rig.names == ("depth",)
+    problem = load_problem(*given, overrides={"output.rate": "2"})
+    assert problem.rig.names == ("depth",)
+    assert [note.split(" told")[0] for note in problem.notes] == [
+        "control: rudder was",  # of 1 rad all the time
+        "control: stern was",
+    ]
 
 
 def test_the_recorded_robot(data):

@@ -75,6 +75,10 @@ def test_large_systems_are_sized_by_the_file(tmp_path):
         ({"scenario.dt": "1e-6"}, ["dt: found 1e-06 s, which makes 6e"]),
         ({"scenario.filters": "[]"}, ["filters: found"]),
         (
+            {"scenario.filters": '["kalman"]', "scenario.featured": '["kalman", "extended"]'},
+            [r"featured: found \['extended'\], expected some of the filters, \['kalman'\]"],
+        ),
+        (
             {
                 "sensors.camera.map": "pots",
                 "sensors.camera.source": "x",

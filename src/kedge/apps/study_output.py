@@ -55,7 +55,14 @@ def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyC
         **{f"digest of {part}": value for part, value in summary["digest"].items()},
     }
     return StudyContent(
-        study, tally.results(), tally.truth, tally.readings, summary, as_toml(shown), facts
+        study,
+        tally.results(),
+        tally.truth,
+        tally.readings,
+        summary,
+        as_toml(shown),
+        facts,
+        summary["configuration"]["scenario"]["featured"],
     )
 
 
@@ -71,10 +78,9 @@ def summary_of(
             source = entry.source or about.source
             filters[name]["published"] = {"rmse": entry.rmse, "source": source}
     plan = plan_of(study)
-    spans = {name: [(a, b) for a, b in parts] for name, parts in setting.config.windows.items()}
     for name, result in results.items():
-        if spans:
-            filters[name]["windows"] = windows(study, plan, result, spans)
+        if plan.windows:
+            filters[name]["windows"] = windows(study, plan, result)
     configuration = setting.config.model_dump(mode="json", exclude_none=True)
     scores = [
         digest(name, *map(np.asarray, (*result.runs, *result.whole)))

@@ -28,6 +28,7 @@ HEADS = (
     "time_mean_rms",
     "tracking",
     "windows",
+    "within_3_sigma",
 )
 """How the name of a score may begin; a filter's own name may have dots in it."""
 

@@ -56,6 +56,13 @@ class AbstractVehicle(eqx.Module, Generic[S, U, W]):
         """
         return math.inf
 
+    def control_limits(self) -> U | None:
+        """How large a control can get: what is told beyond acts as that; None without limits.
+
+        Logs that tell of more are not refused, but it is counted and said.
+        """
+        return None
+
 
 class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
     r"""A vehicle given by $\dot x = f(x, u, w)$, advanced by one Runge-Kutta step.

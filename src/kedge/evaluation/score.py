@@ -13,6 +13,7 @@ from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
+from kedge.estimation.clipping import clipped
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.attitudes import angles_of
@@ -159,6 +160,8 @@ def score(
     }
     if silent := silences(estimates, recording, rig):
         scores["health"]["silences"] = silent
+    if beyond := clipped(recording, rig.vehicle):
+        scores["health"]["clipped_controls"] = beyond
     errors = None
     if truth is not None:
         truth = in_the_map(truth, track)

@@ -8,7 +8,7 @@ changes none.
 import dataclasses
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,7 +25,7 @@ from kedge.core.registry import unknown
 from kedge.estimation.compiled import Engine
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.evaluation.study_measure import Plan, given_of, scored
+from kedge.evaluation.study_measure import Plan, Window, given_of, scored
 from kedge.evaluation.study_pass import FilterPass, Rows
 from kedge.evaluation.study_scores import (
     Part,
@@ -73,6 +73,8 @@ class Study(NamedTuple):
     seed: int = 0
     vehicles: Mapping[str, AbstractVehicle] = {}
     field: str = ""
+    windows: Mapping[str, Sequence[tuple[float, float]]] = {}
+    """Stretches of time (from, to; s) that are scored apart, by name."""
 
     def check(self) -> None:
         """Refuse what cannot be run.
@@ -202,12 +204,23 @@ class Trials:
             believed = own.over(given, np.asarray(index))
             seconds = time.perf_counter() - before
             found = scored(*told, believed, kept)
-            settled, whole, sums, example = jax.tree.map(np.asarray, found)
+            settled, whole, apart, sums, example = jax.tree.map(np.asarray, found)
             cut = slice(0, end - begin)
-            settled, whole = (RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole))
+            settled, whole, *windows = (
+                RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole, *apart.values())
+            )
             shown = example._asdict() if number == 0 else {}
+            of_each = dict(zip(apart, windows, strict=True))
             pieces[name] = Piece(
-                settled, whole, sums, seconds, compiling, own.compiler, shown, shown_truth[0]
+                settled,
+                whole,
+                sums,
+                seconds,
+                compiling,
+                own.compiler,
+                shown,
+                shown_truth[0],
+                of_each,
             )
         return Part(pieces, *(first or ()))
 
@@ -277,7 +290,8 @@ def plan_of(study: Study) -> Plan:
     if not settled.any():
         raise ConfigError(f"burn_in: nothing is scored after {study.burn_in:g} s")
     sensed = np.flatnonzero(sensor >= 0)
-    return Plan(
+    ends = np.arange(1, scenario.steps + 1) * scenario.dt
+    plan = Plan(
         log=recording.log,
         events=events,
         steps=np.round(stamps[events] / (scenario.dt * SECOND)).astype(np.int64) - 1,
@@ -287,8 +301,28 @@ def plan_of(study: Study) -> Plan:
         sensor=sensor[sensed],
         sensed_settled=stamps[sensed] > burn_in,
         sensed_time=stamps[sensed] / SECOND,
-        steps_settled=np.arange(1, scenario.steps + 1) * scenario.dt > study.burn_in + 1e-9,
+        steps_settled=ends > study.burn_in + 1e-9,
     )
+    return plan._replace(windows=_windows(study, plan, ends))
+
+
+def _windows(study: Study, plan: Plan, ends: np.ndarray) -> dict[str, Window]:
+    """The windows in which something is scored, and the rest after the burn-in."""
+    if not study.windows:
+        return {}
+
+    def inside(time: np.ndarray, spans: Sequence[tuple[float, float]]) -> np.ndarray:
+        return np.any([(time > a + 1e-9) & (time <= b + 1e-9) for a, b in spans], axis=0)
+
+    times = plan.time, plan.sensed_time, ends
+    found = {
+        name: Window(*(inside(time, spans) for time in times))
+        for name, spans in study.windows.items()
+    }
+    settled = plan.settled, plan.sensed_settled, plan.steps_settled
+    taken = (np.any(masks, axis=0) for masks in zip(*found.values(), strict=True))
+    found["else"] = Window(*(a & ~b for a, b in zip(settled, taken, strict=True)))
+    return {name: window for name, window in found.items() if window.events.any()}
 
 
 @eqx.filter_jit

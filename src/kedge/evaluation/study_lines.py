@@ -130,11 +130,16 @@ def short(line: Line, panel: Panel) -> str:
     return re.sub(r"\bcount=", "N = ", name).replace(",", ", ") or line.label
 
 
-def featured(curves: Mapping[str, Float[np.ndarray, "..."]], most: int = 4) -> list[str]:
-    """The filters to show where all would hide each other: of each family its largest.
+def featured(
+    curves: Mapping[str, Float[np.ndarray, "..."]], wanted: Sequence[str] = (), most: int = 4
+) -> list[str]:
+    """The filters to show where all would hide each other.
 
-    Filters whose curves agree count as one.
+    Those ``wanted``, as far as they are there; else of each family its largest, of which those
+    whose curves agree count as one.
     """
+    if chosen := [name for name in wanted if name in curves]:
+        return chosen
     base = baseline(list(curves))
     best: dict[str, str] = {family(base): base}
     for name in curves:

@@ -1,5 +1,6 @@
 """What filters are given of simulated runs, and what they made of it, scored."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -37,6 +38,16 @@ class Plan(NamedTuple):
     sensed_time: Float[np.ndarray, " E"]  # s
     steps_settled: Bool[np.ndarray, " S"]
     """Of all steps."""
+    windows: Mapping[str, "Window"] = {}
+
+
+class Window(NamedTuple):
+    """Some of the times of a run that are scored apart."""
+
+    events: Bool[np.ndarray, " K"]
+    """Of those scored."""
+    sensed: Bool[np.ndarray, " E"]
+    steps: Bool[np.ndarray, " S"]
 
 
 @eqx.filter_jit
@@ -57,8 +68,8 @@ def scored(
     truth: Simulation,
     found: Believed,
     kept: Bool[Array, " runs"],
-) -> tuple[RunScores, RunScores, TimeSums, Any]:
-    """Scores of some runs, sums by time of those kept, and the means of the first.
+) -> tuple[RunScores, RunScores, dict[str, RunScores], TimeSums, Any]:
+    """Scores of some runs (late, whole, by window), sums of those kept, means of the first.
 
     It knows of no filter, so it is compiled once for all of a study's.
     """
@@ -69,17 +80,25 @@ def scored(
         actual = jax.tree.map(lambda leaf: leaf[plan.steps], true.truth)
         error = jax.vmap(states.boxminus)(actual, own.mean)
         nees = jnp.full(len(plan.events), jnp.nan)
+        within = jnp.full(error.shape, jnp.nan)
         if own.cov is not None:
             nees = jax.vmap(squared_distance)(own.cov, error)
+            variance = jnp.diagonal(own.cov, axis1=1, axis2=2)
+            within = jnp.where(error**2 <= 9 * variance, 1.0, 0.0)
         nis = jnp.full(len(plan.sensed), jnp.nan) if own.nis is None else own.nis
         fused = own.verdict == Verdict.FUSED
-        judged = _Judged(error**2, nees, nis, 1.0 * own.dof, fused, _tracked(scenario, true))
+        watched = _tracked(scenario, true)
+        judged = _Judged(error**2, nees, within, nis, 1.0 * own.dof, fused, watched)
         settled = plan.settled, plan.sensed_settled, plan.steps_settled
         late = _scores(states, plan, judged, sensors, *settled)
         whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
-        return late, whole, judged
+        apart = {
+            name: _scores(states, plan, judged, sensors, *window)
+            for name, window in plan.windows.items()
+        }
+        return late, whole, apart, judged
 
-    late, whole, judged = jax.vmap(one)(truth, found)
+    late, whole, apart, judged = jax.vmap(one)(truth, found)
     good = kept & jnp.all(jnp.isfinite(whole.squared), axis=1)
     good &= jnp.isfinite(late.time_mean_rms)
 
@@ -96,7 +115,7 @@ def scored(
         nis_count=added(jnp.ones_like(judged.nis), fused),
         nis_dof=added(judged.dof, fused),
     )
-    return late, whole, sums, jax.tree.map(lambda leaf: leaf[0], found.mean)
+    return late, whole, apart, sums, jax.tree.map(lambda leaf: leaf[0], found.mean)
 
 
 def squared_distance(cov: Float[Array, "n n"], error: Float[Array, " n"]) -> Float[Array, ""]:
@@ -117,6 +136,7 @@ class _Judged(NamedTuple):
 
     squared: Float[Array, "*K n"]
     nees: Float[Array, "*K"]
+    within: Float[Array, "*K n"]
     nis: Float[Array, "*E"]
     dof: Float[Array, "*E"]
     fused: Bool[Array, "*E"]
@@ -162,6 +182,7 @@ def _scores(
         squared=jax.vmap(mean, 1)(judged.squared),
         nees=mean(judged.nees),
         coverage=mean(inside) if known else jnp.asarray(jnp.nan),
+        within=jax.vmap(mean, 1)(judged.within),
         nis=jnp.stack(nis) if nis else jnp.zeros(0),
         nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
         tracked=jnp.mean(judged.tracked, axis=0, where=stepped[:, None]),

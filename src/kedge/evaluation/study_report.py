@@ -1,6 +1,6 @@
 """The report of a study: its scores, figures, claims and where they come from, as one page."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,6 +44,8 @@ class StudyContent(NamedTuple):
     """The resolved scenario, as text."""
     facts: Mapping[str, str]
     """Versions, seed, digest, command."""
+    featured: Sequence[str] = ()
+    """The filters whose tracks are shown, if the scenario names any."""
 
 
 def write_study_report(folder: Path, content: StudyContent) -> Path:
@@ -74,7 +76,7 @@ def write_study_report(folder: Path, content: StudyContent) -> Path:
         filters=tables.merit_table(filters, states),
         all_steps=tables.merit_table(filters, states, False) if burn_in else None,
         burn_in=f"{burn_in:g}\u00a0s",
-        windows=tables.window_table(filters, states),
+        windows=tables.window_tables(filters, states),
         published=tables.published_table(filters, *_unit(content)),
         expected=tables.band_table(summary.get("expected", ())),
         marks=tables.MARKS,
@@ -144,7 +146,8 @@ def tracks(content: StudyContent) -> list[Track]:
     }
     if not whole or not content.truth:
         return []
-    names, loops = featured(whole), content.study.scenario.each_in_its_loop
+    names = featured(whole, content.featured)
+    loops = content.study.scenario.each_in_its_loop
     for (field, cut), chart in zip(states.slices().items(), states.charts, strict=True):
         if chart.shape != chart.tangent_shape or field not in content.truth:
             continue

@@ -25,6 +25,8 @@ class RunScores(NamedTuple):
     """Mean NEES; NaN for states of more than 32 components, whose covariances are not kept."""
     coverage: Float[Values, "*runs"]
     """Share of times at which the truth lay in the 95 % ellipsoid."""
+    within: Float[Values, "*runs n"]
+    """Share of times at which each component of the truth lay within 3 standard deviations."""
     nis: Float[Values, "*runs sensors"]
     """Mean NIS of what was fused; NaN for measurements of more than 8 components."""
     nis_dof: Float[Values, "*runs sensors"]
@@ -68,6 +70,8 @@ class Piece(NamedTuple):
     """The study's first run: fields of the mean at the scored times; empty in other chunks."""
     track: Mapping[str, np.ndarray] = {}
     """Its truth then, which is the filter's own where a guidance listens to it."""
+    windows: Mapping[str, RunScores] = {}
+    """Over the times of each of the study's windows."""
 
 
 class Part(NamedTuple):
@@ -95,6 +99,7 @@ class Result(NamedTuple):
     track: Mapping[str, np.ndarray] = {}
     compiler: str = ""
     """Whose code did the passes; both, if machines differ."""
+    windows: Mapping[str, RunScores] = {}
 
 
 class Tally:
@@ -107,7 +112,7 @@ class Tally:
         self.names = tuple(names)
         self.truth: Mapping[str, np.ndarray] = {}
         self.readings: Mapping[str, np.ndarray] = {}
-        self._runs: dict[str, list[tuple[RunScores, RunScores]]] = {n: [] for n in names}
+        self._runs: dict[str, list[dict[str, RunScores]]] = {n: [] for n in names}
         self._sums: dict[str, TimeSums] = {}
         self._seconds = dict.fromkeys(names, 0.0)
         self._compiling = dict.fromkeys(names, 0.0)
@@ -119,7 +124,8 @@ class Tally:
         """Take in the next chunk."""
         for name in self.names:
             piece = part.pieces[name]
-            self._runs[name].append((piece.runs, piece.whole))
+            apart = {f"windows.{w}": scores for w, scores in piece.windows.items()}
+            self._runs[name].append({"runs": piece.runs, "whole": piece.whole} | apart)
             before = self._sums.get(name)
             self._sums[name] = piece.sums if before is None else before.plus(piece.sums)
             self._seconds[name] += piece.seconds
@@ -138,19 +144,22 @@ class Tally:
         """
         if not self._sums:
             raise DataError("study: found no finished runs, expected at least one chunk")
-        return {
-            name: Result(
-                runs=_joined([runs for runs, _ in self._runs[name]]),
-                whole=_joined([whole for _, whole in self._runs[name]]),
+        found = {}
+        for name in self.names:
+            parts = self._runs[name]
+            whole = {key: _joined([part[key] for part in parts]) for key in parts[0]}
+            found[name] = Result(
+                runs=whole.pop("runs"),
+                whole=whole.pop("whole"),
                 sums=self._sums[name],
                 seconds=self._seconds[name],
                 compile_seconds=self._compiling[name],
                 example=self._examples.get(name, {}),
                 track=self._tracks.get(name, {}),
                 compiler=" and ".join(sorted(self._compilers[name])),
+                windows={key.removeprefix("windows."): own for key, own in whole.items()},
             )
-            for name in self.names
-        }
+        return found
 
 
 def pack(part: Part) -> dict[str, np.ndarray]:
@@ -160,6 +169,9 @@ def pack(part: Part) -> dict[str, np.ndarray]:
         for group in ("runs", "whole", "sums"):
             for field, leaf in getattr(piece, group)._asdict().items():
                 found[f"{place}.{group}.{field}"] = np.asarray(leaf)
+        for window, scores in piece.windows.items():
+            for field, leaf in scores._asdict().items():
+                found[f"{place}.windows.{field}.{window}"] = np.asarray(leaf)
         found[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
         found[f"{place}.compiler"] = np.array(piece.compiler)
         for group in ("example", "track"):
@@ -183,6 +195,10 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
     try:
         for place, name in enumerate(names):
             seconds, compiling = arrays[f"{place}.seconds"].tolist()
+            apart: dict[str, dict[str, np.ndarray]] = {}
+            for key, leaf in below(f"{place}.windows.").items():
+                field, _, window = key.partition(".")
+                apart.setdefault(window, {})[field] = leaf
             pieces[name] = Piece(
                 RunScores(**below(f"{place}.runs.")),
                 RunScores(**below(f"{place}.whole.")),
@@ -192,6 +208,7 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
                 str(arrays[f"{place}.compiler"]),
                 below(f"{place}.example."),
                 below(f"{place}.track."),
+                {window: RunScores(**leaves) for window, leaves in apart.items()},
             )
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"a chunk's file is not of this version of kedge: {error}") from error

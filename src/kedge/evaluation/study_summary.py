@@ -1,11 +1,12 @@
 """What a study's runs say: scores with intervals, ratios to a baseline, curves over time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import stdtrit
+from scipy.special import betaincinv, stdtrit
 
 from kedge.core.manifolds import Space, space_of
 from kedge.evaluation.consistency import chi_square_interval
@@ -110,6 +111,7 @@ def blank(study: Study) -> Result:
         squared=np.zeros((runs, size)),
         nees=each,
         coverage=each,
+        within=np.zeros((runs, size)),
         nis=np.zeros((runs, sensors)),
         nis_dof=np.zeros((runs, sensors)),
         tracked=np.zeros((runs, watches)),
@@ -117,7 +119,8 @@ def blank(study: Study) -> Result:
     times, readings = len(plan.time), len(plan.sensed)
     none = np.zeros(readings)
     sums = TimeSums(np.zeros(()), np.zeros((times, size)), np.zeros(times), none, none, none)
-    return Result(scores, scores, sums, 0.0)
+    apart = dict.fromkeys(plan_of(study).windows, scores)
+    return Result(scores, scores, sums, 0.0, windows=apart)
 
 
 def compare(
@@ -219,45 +222,18 @@ def curves(study: Study, plan: Plan, result: Result) -> Curves:
     )
 
 
-def windows(
-    study: Study,
-    plan: Plan,
-    result: Result,
-    spans: Mapping[str, Sequence[tuple[float, float]]],
-) -> dict[str, dict[str, Any]]:
-    """RMSE, NEES and NIS over named stretches of time, and over the rest after the burn-in.
+def windows(study: Study, plan: Plan, result: Result) -> dict[str, dict[str, Any]]:
+    """The scores over each of the study's windows, and over the rest after the burn-in.
 
-    NIS is that of all sensors together, per degree of freedom.
+    ``nis_per_dof`` is that of all sensors together, per degree of freedom.
     """
-    states, sums = _states(study), result.sums
-    count = max(float(sums.total), 1.0)
-
-    def inside(time: np.ndarray, stretches: Sequence[tuple[float, float]]) -> np.ndarray:
-        return np.any([(time > a) & (time <= b) for a, b in stretches], axis=0)
-
-    def scores(times: np.ndarray, sensed: np.ndarray) -> dict[str, Any]:
-        if not times.any():
-            return {}
-        squared = np.asarray(sums.squared)[times].mean(axis=0) / count
-        freedom = float(np.asarray(sums.nis_dof)[sensed].sum())
-        nis = float(np.asarray(sums.nis)[sensed].sum())
-        return {
-            "rmse": {
-                name: float(np.sqrt(squared[cut].sum()))
-                for name, cut in (states.slices() | _in_plan(states)).items()
-            },
-            "nees": float(np.asarray(sums.nees)[times].mean() / count),
-            "nis_per_dof": nis / freedom if freedom else float("nan"),
-        }
-
-    chosen = {
-        name: (inside(plan.time, stretches), inside(plan.sensed_time, stretches))
-        for name, stretches in spans.items()
-    }
-    if chosen:
-        taken = [np.any(masks, axis=0) for masks in zip(*chosen.values(), strict=True)]
-        chosen["else"] = plan.settled & ~taken[0], plan.sensed_settled & ~taken[1]
-    return {name: scores(*masks) for name, masks in chosen.items()}
+    good, sums, found = finite(result), result.sums, {}
+    for name, window in plan.windows.items():
+        freedom = float(np.asarray(sums.nis_dof)[window.sensed].sum())
+        nis = float(np.asarray(sums.nis)[window.sensed].sum())
+        found[name] = _window(study, result.windows[name], good)
+        found[name]["nis_per_dof"] = nis / freedom if freedom else float("nan")
+    return found
 
 
 def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
@@ -273,6 +249,34 @@ def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
         return Interval(mean, float("nan"), float("nan"))
     half = float(stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count))
     return Interval(mean, mean - half, mean + half)
+
+
+def share(values: Float[np.ndarray, " runs"]) -> Interval:
+    r"""The mean of shares, one a run, and the exact interval of so many yes-or-no trials.
+
+    $B^{-1}_{\alpha/2}(k, n - k + 1)$ to $B^{-1}_{1-\alpha/2}(k + 1, n - k)$ with the sum k of
+    the shares of n runs: exact for one time a run. Over more it is wide enough even if the
+    times of a run all go the same way.
+
+    Source: C. Clopper and E. Pearson, "The use of confidence or fiducial limits illustrated in
+    the case of the binomial", Biometrika 26(4), 1934.
+    """
+    count, total = len(values), float(np.sum(values))
+    if not count or not math.isfinite(total):
+        return Interval(math.nan, math.nan, math.nan)
+    rest = max(count - total, 0.0)
+    lower = float(betaincinv(total, rest + 1, 0.025)) if total > 0 else 0.0
+    upper = float(betaincinv(total + 1, rest, 0.975)) if rest > 0 else 1.0
+    return Interval(total / count, lower, upper)
+
+
+def _within(states: Space, shares: Float[np.ndarray, "runs n"]) -> dict[str, Interval]:
+    """Shares of times within 3 standard deviations; of a field that of its worst component."""
+    each = [share(column) for column in shares.T]
+    return {
+        name: min(each[cut], key=lambda found: found.mean)
+        for name, cut in parts_of(states).items()
+    }
 
 
 def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]:
@@ -295,12 +299,15 @@ def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]
         by_sensor["nis_ci"][installation.name] = list(nis[1:])
         by_sensor["nis_dof"][installation.name] = interval(dofs[fused]).mean
     coverage = interval(np.asarray(scores.coverage)[good])
+    within = _within(_states(study), np.asarray(scores.within)[good])
     return (
         found
         | by_sensor
         | {
             "coverage_95": coverage.mean,
             "coverage_95_ci": list(coverage[1:]),
+            "within_3_sigma": {name: found.mean for name, found in within.items()},
+            "within_3_sigma_ci": {name: list(found[1:]) for name, found in within.items()},
         }
     )
 

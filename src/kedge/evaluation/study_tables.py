@@ -50,28 +50,32 @@ def merit_table(filters: Filters, states: Space, settled: bool = True) -> Table:
     return Table(list(rows), kept)
 
 
-def window_table(filters: Filters, states: Space) -> Table | None:
-    """Scores in the scenario's named stretches of time, and in the rest."""
-    first = next(iter(filters.values())).get("windows") or {}
-    fields, units = list(states.slices()), _units(states)
-    columns = []
-
-    def score(window: str, *path: str) -> Callable[[str], float | None]:
-        return lambda name: _look(filters[name].get("windows", {}).get(window), path)
-
-    for field in fields:
-        factor, symbol = style.shown(units[field])
-        for window in first:
-            found = score(window, "rmse", field)
-            columns.append(
-                _plain(filters, f"{style.words(field)}, {style.words(window)}", f"{symbol} rms",
-                       lambda n, found=found, by=factor: _times(found(n), by))
-            )  # fmt: skip
-    for title, key in (("NEES", "nees"), ("NIS by component", "nis_per_dof")):
-        for window in first:
-            columns.append(_plain(filters, f"{title}, {style.words(window)}", "–",
-                                  score(window, key)))  # fmt: skip
-    return Table(list(filters), columns) if columns else None
+def window_tables(filters: Filters, states: Space) -> dict[str, Table]:
+    """Scores in each of the scenario's named stretches of time, and in the rest."""
+    first = next(iter(filters.values()))
+    found, units = {}, _units(states)
+    of = (
+        first["score_of"]
+        if first["score_of"] in states.slices()
+        else next(iter(states.slices()))
+    )
+    for window, scores in (first.get("windows") or {}).items():
+        rows = {name: row["windows"][window] for name, row in filters.items()}
+        columns = []
+        for name in [*states.slices(), *(n for n in ("horizontal",) if n in scores["rmse"])]:
+            factor, symbol = style.shown(units[name])
+            path = "rmse", name
+            columns.append(_interval(rows, style.words(name), f"{symbol} rms", path, factor))
+        title = f"{style.words(of)} in 3 σ"
+        columns.append(_shares(rows, title, "worst axis", ("within_3_sigma", of)))
+        unit = f"{first['nees_dof']} is right"
+        columns.append(_interval(rows, "NEES", unit, ("nees",), best=0))
+        columns.append(
+            _plain(rows, "NIS", "by component", lambda n, rows=rows: rows[n]["nis_per_dof"])
+        )
+        kept = [column for column in columns if any(cell.text != "–" for cell in column.cells)]
+        found[style.words(window)] = Table(list(filters), kept)
+    return found
 
 
 def published_table(filters: Filters, factor: float, unit: str) -> list[list[str]]:
@@ -128,6 +132,16 @@ def _interval(
         cells.append(Cell(*measured(value, [_times(end, factor) for end in ends])))
         values.append(value)
     return Column(name, unit, marked(list(rows), cells, values) if best else cells)
+
+
+def _shares(rows: Mapping[str, Any], name: str, unit: str, path: Sequence[str]) -> Column:
+    """A share in percent with its interval below."""
+    cells = []
+    for row in rows.values():
+        ends = _look(row, [f"{path[0]}_ci", *path[1:]]) or ()
+        between = " to ".join(style.percent(end) for end in ends if end is not None)
+        cells.append(Cell(style.percent(_look(row, path)), between))
+    return Column(name, unit, cells)
 
 
 def _plain(

@@ -13,6 +13,7 @@ from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, charts_of
 from kedge.core.registry import unknown, vehicles
+from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
 from kedge.estimation.rig import Rig, check_step
 from kedge.files.building import (
@@ -158,6 +159,7 @@ def load_problem(
     longest = float(np.diff(recording.stamps, prepend=start).max()) / SECOND
     rate = f"output.rate = {config.output.rate:g} Hz"
     check_step(vehicle, longest, f"{config.origin}: the longest step between events ({rate})")
+    notes += sentences(clipped(recording, vehicle))
     return Problem(
         title=raw.title or config.title,
         config=config.model_dump(mode="json", exclude_none=True),

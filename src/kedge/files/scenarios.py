@@ -57,6 +57,8 @@ class RunsConfig(Strict):
     estimates: they are integrated from what it does.
 
     ``names`` are short names for filters with their parameters, used wherever one is named.
+    ``featured`` are the filters whose tracks a report shows, in this order from below; if none
+    is named, up to four, one of a family.
     """
 
     title: str
@@ -74,6 +76,7 @@ class RunsConfig(Strict):
     carried: list[str] = []
     filters: Annotated[list[str], Field(min_length=1)]
     names: dict[str, str] = {}
+    featured: list[str] = []
 
     def complaints(self) -> Iterator[str]:
         """Times that do not go together, filters that cannot be built."""
@@ -90,6 +93,8 @@ class RunsConfig(Strict):
                 f"{self.duration:g} s"
             )
         yield from self.naming_complaints("filters", self.filters)
+        if strange := [name for name in self.featured if name not in self.filters]:
+            yield f"featured: found {strange}, expected some of the filters, {self.filters}"
         for name, spec in self.names.items():
             yield from filter_complaints(f"names.{name}", [spec])
         if self.feedback not in FEEDBACKS:

@@ -91,6 +91,10 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
         """The vehicle's."""
         return self.vehicle.longest_step()
 
+    def control_limits(self) -> Any:
+        """The vehicle's."""
+        return self.vehicle.control_limits()
+
 
 class Wander(NamedTuple):
     """What a rig says of a slow quantity."""

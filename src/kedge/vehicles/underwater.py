@@ -1,5 +1,6 @@
 """A torpedo-shaped underwater vehicle in six degrees of freedom."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -162,6 +163,10 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         found = [modes(hull, speed) for speed in (0.0, cruise(hull))]
         return longest_step(self.integrator, np.concatenate(found))
 
+    def control_limits(self) -> Control:
+        """Fins turn no further than they can."""
+        return furthest(self.hull)
+
     def start(self) -> State:
         none = jnp.zeros(3)
         return State(none, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([1.5, 0.0, 0.0]), none)
@@ -188,6 +193,11 @@ def clipped(
     limit = hull.fin_limit
     parts += [jnp.clip(fin, -limit, limit) for fin in (control.rudder, control.stern)]
     return jnp.stack([jnp.asarray(part) for part in parts])
+
+
+def furthest(hull: Coefficients) -> Control:
+    """The commands beyond which :func:`clipped` cuts."""
+    return Control(math.inf, math.inf, hull.fin_limit, hull.fin_limit)
 
 
 def _linear(hull: Coefficients) -> Callable[..., Float[Array, "6"]]:

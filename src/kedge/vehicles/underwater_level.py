@@ -24,7 +24,7 @@ from kedge.numerics.stability import RULES
 from kedge.vehicles.accelerations import accelerations
 from kedge.vehicles.coefficient_files import as_coefficients
 from kedge.vehicles.hydrodynamics import Coefficients, response
-from kedge.vehicles.underwater import FLIP, Control, Noise, clipped, integrate
+from kedge.vehicles.underwater import FLIP, Control, Noise, clipped, furthest, integrate
 
 
 class State(NamedTuple):
@@ -77,6 +77,10 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
 
     def noise_density(self) -> Noise:
         return Noise(jnp.full(3, self.acceleration_noise), jnp.full(3, self.angular_noise))
+
+    def control_limits(self) -> Control:
+        """Fins turn no further than they can."""
+        return furthest(as_coefficients(self.coefficients))
 
     def start(self) -> State:
         return _start()
