@@ -54,9 +54,8 @@ class Job(NamedTuple):
         """How the scenario is scored."""
         about = setting.config.scenario
         how = about.burn_in, about.score, about.start, self.seed
-        windows = setting.config.windows.items()
-        spans = {name: [(begin, end) for begin, end in parts] for name, parts in windows}
-        return Study(setting.scenario, *how, setting.vehicles, about.field, spans)
+        windows = setting.config.windows
+        return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
 
     def trials(self, say: Say = lambda text: None) -> Trials:
         """Make the study ready to be computed.

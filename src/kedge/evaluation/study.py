@@ -73,7 +73,7 @@ class Study(NamedTuple):
     seed: int = 0
     vehicles: Mapping[str, AbstractVehicle] = {}
     field: str = ""
-    windows: Mapping[str, Sequence[tuple[float, float]]] = {}
+    windows: Mapping[str, Sequence[Sequence[float]]] = {}
     """Stretches of time (from, to; s) that are scored apart, by name."""
 
     def check(self) -> None:
@@ -311,7 +311,7 @@ def _windows(study: Study, plan: Plan, ends: np.ndarray) -> dict[str, Window]:
     if not study.windows:
         return {}
 
-    def inside(time: np.ndarray, spans: Sequence[tuple[float, float]]) -> np.ndarray:
+    def inside(time: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
         return np.any([(time > a + 1e-9) & (time <= b + 1e-9) for a, b in spans], axis=0)
 
     times = plan.time, plan.sensed_time, ends
