@@ -121,6 +121,7 @@ def test_every_reading_has_its_source_and_its_verdict(drive):
     assert camera.stamps[0] == START + 500_000_000
     assert problem.notes == [
         "camera: 1 readings of targets robot were left out",
+        "camera: 1 readings name targets that are not on the map: c; they are refused",
         "camera: 1 readings before the start were left out",
     ]
     assert verdicts(problem, "camera") == [
@@ -207,7 +208,7 @@ def test_truth_can_be_left_out_cut_or_begin_late(drive):
     drive.log["truth.csv"] = "\n".join([rows[0], *rows[3:]])
     late = drive.load()
     assert late.recording.start == START + 1_500_000_000
-    assert "truth begins late" in late.notes[1]
+    assert "truth begins late" in late.notes[2]
 
 
 def test_a_vehicle_without_control_starts_at_its_first_reading(drive):

@@ -239,7 +239,8 @@ def test_a_range_of_nothing_and_an_anchor_off_the_map_get_verdicts(tmp_path):
     (tmp_path / "radio.csv").write_text("\n".join(rows))
     problem = load_problem(str(tmp_path / "rig.toml"), str(tmp_path))
     assert problem.notes == [
-        "radio: 2 readings of range are not above 0, the first in line 3; they are refused"
+        "radio: 2 readings of range are not above 0, the first in line 3; they are refused",
+        "radio: 1 readings name targets that are not on the map: c; they are refused",
     ]
     found = estimate(ExtendedKalman(), problem.rig, problem.recording.log)
     verdicts = np.asarray(found.outcome.verdict)

@@ -166,6 +166,12 @@ def read_readings(
         index = {target: at for at, target in enumerate(map_of(config, name, raw.maps).ids)}
         texts = table.texts[spec.target or "target"]
         target = np.array([index.get(text, -1) for text in texts], np.int64)
+        if strange := sorted(set(texts) - set(index)):
+            notes.append(
+                f"{name}: {int((target < 0).sum())} readings name targets that are not on the "
+                f"map: {', '.join(strange[:5])}{' and more' * (len(strange) > 5)}; "
+                "they are refused"
+            )
     readings = Readings(
         _fields(cls, columns, len(table.stamps)),
         jnp.asarray(target),

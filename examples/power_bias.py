@@ -1,0 +1,107 @@
+"""What the received power says of a range's error: learned at rest, used on the move.
+
+    python examples/power_bias.py FOLDER
+
+FOLDER is that of the Hanyang University data set. The curve of bias over received power is
+fitted to the static measurements, half of them by distance; it is judged on the other half,
+and on the four runs of a walker, whose truth it has never seen. The walker's filter is the
+shipped rig, with the ranges as they are and with the curve taken off.
+"""
+
+import argparse
+import io
+import re
+import tarfile
+from csv import DictReader
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from kedge.apps.workflow import run_filters, use_compilation_cache
+from kedge.files.problem import Problem, load_problem
+from kedge.files.tables import read_cells
+from kedge.positioning.power_bias import PowerBias, fit_power_bias
+
+TAG_HEIGHT = 1.0  # m
+NAME = re.compile(r"(LOS|NLOS)/height_([\d.]+)cm/([\d.]+)m\.csv$")
+RUNS = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for case in (1, 2)]
+KNOTS = 10
+
+
+def read_static(archive: Path) -> np.ndarray:
+    """One row a range: horizontal distance (m), error (m), received power (dBm)."""
+    rows = []
+    with tarfile.open(archive) as files:
+        for member in files:
+            match = NAME.search(member.name)
+            handle = files.extractfile(member) if match else None
+            if match is None or handle is None:
+                continue
+            far = float(match[3])
+            true = np.hypot(far, float(match[2]) / 100 - TAG_HEIGHT)
+            for row in DictReader(io.StringIO(handle.read().decode())):
+                cells = row["Distance"], row["RSSI(dBm)"]
+                if all(cells) and np.isfinite(power := float(cells[1])):
+                    rows.append((far, float(cells[0]) - true, power))
+    return np.array(rows)
+
+
+def spread(error: np.ndarray) -> float:
+    """1.4826 times the median distance from the median, which gross errors do not change."""
+    return float(1.4826 * np.median(np.abs(error - np.median(error))))
+
+
+def without_bias(problem: Problem, folder: Path, curve: PowerBias) -> Problem:
+    """The problem with each range less the bias of the power that it was received with."""
+    source, log = problem.sources["radio"], problem.recording.log
+    powers = {}
+    for file in folder.glob("A*.csv*"):
+        cells = read_cells(file)
+        stamps, anchor = cells.stamps("field.stamp", "ns"), cells.text("field.id")
+        for key in zip(
+            stamps, anchor, cells.numbers("field.rssi", not_finite="reject"), strict=True
+        ):
+            powers[int(key[0]), key[1]] = key[2]
+    keys = zip(source.stamps, source.targets or [], strict=True)
+    power = np.array([powers[int(stamp), target] for stamp, target in keys])
+    (readings,) = log.readings
+    bias, _ = curve.at(np.where(np.isfinite(power), power, np.nan))
+    measurement = type(readings.measurement)(jnp.asarray(readings.measurement.range) - bias)
+    log = log._replace(readings=(readings._replace(measurement=measurement),))
+    return problem._replace(recording=problem.recording._replace(log=log))
+
+
+def score(problem: Problem) -> str:
+    """RMSE of the position, and the share of errors inside the 95 % bound."""
+    (run,) = run_filters(problem, [problem.filter], 0, lambda text: None)
+    return f"{run.scores['rmse']['position']:8.3f}{run.scores['coverage_95']['position']:8.2f}"
+
+
+def main() -> None:
+    """Fit, judge, use."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    root = parser.parse_args().folder
+    use_compilation_cache()
+    table = read_static(root / "Static_measurements.tar.gz")
+    known = np.round(table[:, 0]).astype(int) % 4 == 0  # they go up by 2 m
+    curve = fit_power_bias(table[known, 2], table[known, 1], KNOTS)
+    print("power, dBm:", *(f"{power:8.1f}" for power in curve.power))
+    print("bias, m:   ", *(f"{bias:8.3f}" for bias in curve.bias))
+    bias, _ = curve.at(table[~known, 2])
+    error = table[~known, 1]
+    print(
+        f"at rest, other distances: {len(error)} ranges, median {np.median(error):.3f} m, "
+        f"spread {spread(error):.3f} m; less the curve {np.median(error - bias):.3f} m, "
+        f"{spread(error - np.asarray(bias)):.3f} m"
+    )
+    print(f"{'walker':24s}{'RMSE m':>8s}{'in 95 %':>8s}{'less the curve':>18s}")
+    for part in RUNS:
+        problem = load_problem("hanyang_uwb", f"{root / 'Dynamic_measurements'}#{part}")
+        better = without_bias(problem, root / "Dynamic_measurements" / part, curve)
+        print(f"{part:24s}{score(problem)}  {score(better)}")
+
+
+if __name__ == "__main__":
+    main()
