@@ -73,6 +73,7 @@ def window_tables(filters: Filters, states: Space) -> dict[str, Table]:
         columns.append(
             _plain(rows, "NIS", "by component", lambda n, rows=rows: rows[n]["nis_per_dof"])
         )
+        columns = columns[-3:] + columns[:-3]  # a state of many fields runs out of the page
         kept = [column for column in columns if any(cell.text != "–" for cell in column.cells)]
         found[style.words(window)] = Table(list(filters), kept)
     return found
