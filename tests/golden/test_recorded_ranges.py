@@ -125,4 +125,5 @@ def test_isas_walk(data):
 
 def test_starloc(data):
     (found,) = run("starloc", data / "starloc/loop-2d-fast_s1")
-    assert 0.9 * 0.1418 <= rmse(found) <= 1.1 * 0.1418
+    assert 0.9 * 0.145 <= rmse(found) <= 1.1 * 0.145
+    assert found.scores["coverage_95"]["position"] >= 0.85
