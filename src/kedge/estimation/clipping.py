@@ -42,6 +42,19 @@ def clipped(recording: Recording, vehicle: AbstractVehicle) -> dict[str, Any]:
     return found
 
 
+def beyond(control: Any, limits: Any) -> list[str]:
+    """The components of one control that are beyond their limits."""
+    size = np.concatenate([np.abs(np.ravel(value)) for value in control])
+    ends = np.concatenate(
+        [
+            np.ravel(np.broadcast_to(e, np.shape(v)))
+            for e, v in zip(limits, control, strict=True)
+        ]
+    )
+    labels, far = space_of(type(control)).labels, size > ends * (1 + ROUNDING)
+    return [label for label, is_far in zip(labels, far, strict=True) if is_far]
+
+
 def sentences(found: dict[str, Any]) -> list[str]:
     """What a user should know of it."""
     return [

@@ -14,6 +14,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.core.verdicts import Verdict
+from kedge.estimation.clipping import beyond
 from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.log import Log, Readings
@@ -95,6 +96,9 @@ class Estimator:
         silences = {rank: one.allowed_silence for rank, one in enumerate(rig.sensors)}
         self._allowed = {rank: s for rank, s in silences.items() if s is not None}
         self._heard = dict.fromkeys(self._allowed, self._start)
+        self._limits = rig.vehicle.control_limits()
+        self.clipped: dict[str, int] = {}
+        """How often a component of the control was told beyond its limit; it acts as that."""
         still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.drive(0.0)))
         held = still if control is None else _floats(control)
         standing = _begin(self._filter, self._rig, self._key)
@@ -168,7 +172,11 @@ class Estimator:
         if time - self.time > self._longest:
             what = f"event at {time:g} s: the step since the event before"
             check_step(self._vehicle, time - self.time, what)
-        return self._take(event)
+        answer = self._take(event)
+        if held is not None and self._limits is not None:
+            for label in beyond(held, self._limits):
+                self.clipped[label] = self.clipped.get(label, 0) + 1
+        return answer
 
     def smoothed(self) -> list[tuple[float, Gaussian]]:
         """The estimates of the window in the light of all its readings: a fixed-lag smoother.
