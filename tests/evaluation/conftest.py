@@ -4,7 +4,7 @@ import html.parser
 
 import pytest
 
-VOID = {"meta", "link", "br", "img", "input", "hr"}
+VOID = {"meta", "link", "br", "img", "input", "hr", "wbr"}
 
 
 class Page(html.parser.HTMLParser):

@@ -1,5 +1,6 @@
 """A page of figures and tables that reads without a network: what all reports share."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +47,7 @@ def write_page(
     """Write ``report.html`` and ``figures/*.svg`` and ``*.png``; return the page's path.
 
     The template finds the plates in ``figures``, by section, with their pictures as ``svg``.
+    Its filter ``breakable`` lets long names of filters and scores break after their parts.
     The same content gives the same bytes.
 
     Raises:
@@ -67,6 +69,9 @@ def write_page(
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+    )
+    environment.filters["breakable"] = lambda name: markup(
+        re.sub(r"([,:]|\.(?!\d))", r"\1<wbr>", str(markup.escape(name)))
     )
     page = environment.get_template(template).render(
         front=front, palette=style.PALETTE, figures=drawn, **context
