@@ -160,7 +160,9 @@ def study(
     seed: Annotated[int | None, typer.Option(help="Instead of the scenario's own.")] = None,
     chunk: Annotated[
         int | None,
-        typer.Option(help="Runs in one batch; another moves the last digits."),
+        typer.Option(
+            help="Runs in one batch, instead of its own; another moves the last digits."
+        ),
     ] = None,
     engine: Annotated[
         str, typer.Option(help="Who computes: local, processes (one a core) or dask.")
@@ -182,10 +184,9 @@ def study(
     from kedge.apps.study import Options, execute
 
     conditions = parse_requirements(require_ or [])
-    given = {} if chunk is None else {"chunk": chunk}
     options = Options(
-        out, runs, filters, seed, set_, engine=engine, scheduler=scheduler, shard=shard,
-        resume=resume, force=force, report=report, require=conditions, **given,
+        out, runs, filters, seed, set_, chunk, engine=engine, scheduler=scheduler, shard=shard,
+        resume=resume, force=force, report=report, require=conditions,
     )  # fmt: skip
     summary = execute(scenario, options)
     if shard is None:

@@ -13,7 +13,7 @@ from kedge.apps.study_output import content_of, score_names, summary_of, write_s
 from kedge.apps.workflow import settings, use_compilation_cache
 from kedge.core.errors import ConfigError, DataError
 from kedge.evaluation.page import require_studio
-from kedge.evaluation.study import CHUNK, Trials
+from kedge.evaluation.study import Trials
 from kedge.evaluation.study_report import write_study_report
 from kedge.evaluation.study_scores import Tally, chunks_of, unpack
 from kedge.files.chunks import ChunkFolder, read_study, study_digest
@@ -32,7 +32,7 @@ class Options(NamedTuple):
     filters: str | None = None
     seed: int | None = None
     changes: Sequence[str] | None = None
-    chunk: int = CHUNK
+    chunk: int | None = None
     engine: str = "local"
     scheduler: str | None = None
     shard: str | None = None
@@ -180,7 +180,7 @@ def _job(name: str, options: Options) -> Job:
         filters=tuple(names),
         runs=about.runs if options.runs is None else options.runs,
         seed=about.seed if options.seed is None else options.seed,
-        chunk=options.chunk,
+        chunk=about.chunk if options.chunk is None else options.chunk,
         origin=setting.config.origin,
     )
     Trials(job.study(setting), {n: about.filter_of(n) for n in names}, job.runs, job.chunk)

@@ -22,7 +22,8 @@ from kedge.estimation.traced import Estimates, pass_over
 from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS
 
 PART = 8
-"""Runs that XLA does at once. The cores share a chunk's parts, and bits hang on no core."""
+"""Runs that XLA does at once, or a 16th of a large chunk: the cores share its parts, and bits
+hang on the chunk alone."""
 
 
 class Given(NamedTuple):
@@ -199,8 +200,8 @@ def _runs(given: Given) -> int:
 
 
 def _parts(runs: int) -> list[Int[np.ndarray, " part"]]:
-    """Rows of equally many runs each; the last run fills up what is left."""
-    count = -(-runs // PART)
+    """Rows of equally many runs each; the last run fills up what is left over."""
+    count = -(-runs // max(PART, runs // 16))
     size = -(-runs // count)
     return list(np.minimum(np.arange(count * size), runs - 1).reshape(count, size))
 

@@ -58,7 +58,8 @@ class RunsConfig(Strict):
 
     ``names`` are short names for filters with their parameters, used wherever one is named.
     ``featured`` are the filters whose tracks a report shows, in this order from below; if none
-    is named, up to four, one of a family.
+    is named, up to four, one of a family. ``chunk`` is how many runs are done in one batch: of
+    short runs many, since each batch has its price.
     """
 
     title: str
@@ -68,6 +69,7 @@ class RunsConfig(Strict):
     spin_up: NotNegative = 0.0
     burn_in: NotNegative = 0.0
     runs: Annotated[int, Field(ge=1)] = 100
+    chunk: Annotated[int, Field(ge=1)] = 16
     seed: Annotated[int, Field(ge=0)] = 0
     start: Literal["prior", "truth"] = "prior"
     feedback: str = "none"
