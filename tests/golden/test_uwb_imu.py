@@ -5,7 +5,7 @@ import pytest
 
 from kedge.apps.study import Options, execute
 from kedge.evaluation.consistency import chi_square_interval
-from kedge.evaluation.study_claims import FALSE, TRUE
+from kedge.evaluation.study_claims import FALSE, OPEN, TRUE
 
 pytestmark = pytest.mark.slow
 STEPS = "step_20", "step_100", "step_150", "step_200"
@@ -35,7 +35,8 @@ def test_the_covariance_is_that_of_the_errors(squared):
 def test_weights_like_the_papers_give_its_column():
     mistuned = execute("uwb-imu-mistuned", Options(chunk=220))
     assert [band["verdict"] for band in mistuned["expected"]] == [TRUE] * 8
-    assert [claim["verdict"] for claim in mistuned["claims"]] == [TRUE]
+    # Row 200 lies within a sixth of the paper's, and its interval reaches beyond.
+    assert [claim["verdict"] for claim in mistuned["claims"]] == [OPEN]
 
 
 def test_plain_ranges_are_as_good_as_squared_ones(squared):
