@@ -97,7 +97,7 @@ def test_fifty_runs(scenario, times):
 
     def call():
         return estimate_runs(
-            filter, scenario.rig, log, keep=lambda found: found.moments.mean.position, chunk=25
+            filter, scenario.rig, log, keep=lambda found: found.moments.mean.position
         )
 
     jax.block_until_ready(call())  # compiles

@@ -25,7 +25,7 @@ from kedge.numerics.native.kernel import cores
 
 CHUNK = 125
 """Runs batched in one call: enough for the vector units, few enough for the cache."""
-CLOUDS = 16
+CLOUDS = 10
 """The same for ensembles and particles, which fill the vector units by themselves."""
 
 
