@@ -13,6 +13,7 @@ import io
 import re
 import tarfile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,9 +26,22 @@ TAG_HEIGHT = 1.0  # m
 NAME = re.compile(r"(LOS|NLOS)/height_([\d.]+)cm/([\d.]+)m\.csv$")
 
 
-def read_errors(archive: Path) -> dict[str, np.ndarray]:
-    """By label, one row a range: true distance, error, power less first-path power (dB)."""
-    rows: dict[str, list[tuple[float, float, float]]] = {"LOS": [], "NLOS": []}
+class Static(NamedTuple):
+    """One range of a tag at rest, in m and dBm."""
+
+    label: str
+    """LOS or NLOS."""
+    horizontal: float
+    """Distance in plan."""
+    true: float
+    error: float
+    power: float
+    first_path: float
+
+
+def read_static(archive: Path) -> list[Static]:
+    """The ranges of the archive; lines that were cut short are left out and counted."""
+    rows: list[Static] = []
     short = 0
     with tarfile.open(archive) as files:
         for member in files:
@@ -35,7 +49,8 @@ def read_errors(archive: Path) -> dict[str, np.ndarray]:
             handle = files.extractfile(member) if match else None
             if match is None or handle is None:
                 continue
-            true = np.hypot(float(match[3]), float(match[2]) / 100 - TAG_HEIGHT)
+            far = float(match[3])
+            true = float(np.hypot(far, float(match[2]) / 100 - TAG_HEIGHT))
             text = io.StringIO(handle.read().decode())
             for row in csv.DictReader(text):
                 cells = [row[key] for key in ("Distance", "RSSI(dBm)", "RSSI_fp(dBm)")]
@@ -43,9 +58,21 @@ def read_errors(archive: Path) -> dict[str, np.ndarray]:
                     short += 1
                     continue
                 length, power, first = map(float, cells)
-                rows[match[1]].append((true, length - true, power - first))
+                rows.append(Static(match[1], far, true, length - true, power, first))
     print(f"{short} lines without a distance or a power were left out")
-    return {label: np.array(found) for label, found in rows.items()}
+    return rows
+
+
+def read_errors(archive: Path) -> dict[str, np.ndarray]:
+    """By label, one row a range: true distance, error, power less first-path power (dB)."""
+    rows = read_static(archive)
+    return {
+        label: np.array([
+            (row.true, row.error, row.power - row.first_path)
+            for row in rows if row.label == label
+        ])
+        for label in ("LOS", "NLOS")
+    }  # fmt: skip
 
 
 def main() -> None:

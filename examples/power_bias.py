@@ -9,42 +9,26 @@ shipped rig, with the ranges as they are and with the curve taken off.
 """
 
 import argparse
-import io
-import re
-import tarfile
-from csv import DictReader
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from hanyang_errors import read_static
 
 from kedge.apps.workflow import run_filters, use_compilation_cache
 from kedge.files.problem import Problem, load_problem
 from kedge.files.tables import read_cells
 from kedge.positioning.power_bias import PowerBias, fit_power_bias
 
-TAG_HEIGHT = 1.0  # m
-NAME = re.compile(r"(LOS|NLOS)/height_([\d.]+)cm/([\d.]+)m\.csv$")
 RUNS = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for case in (1, 2)]
 KNOTS = 10
 
 
-def read_static(archive: Path) -> np.ndarray:
+def table_of(archive: Path) -> np.ndarray:
     """One row a range: horizontal distance (m), error (m), received power (dBm)."""
-    rows = []
-    with tarfile.open(archive) as files:
-        for member in files:
-            match = NAME.search(member.name)
-            handle = files.extractfile(member) if match else None
-            if match is None or handle is None:
-                continue
-            far = float(match[3])
-            true = np.hypot(far, float(match[2]) / 100 - TAG_HEIGHT)
-            for row in DictReader(io.StringIO(handle.read().decode())):
-                cells = row["Distance"], row["RSSI(dBm)"]
-                if all(cells) and np.isfinite(power := float(cells[1])):
-                    rows.append((far, float(cells[0]) - true, power))
-    return np.array(rows)
+    rows = [(row.horizontal, row.error, row.power) for row in read_static(archive)]
+    table = np.array(rows)
+    return table[np.isfinite(table[:, 2])]
 
 
 def spread(error: np.ndarray) -> float:
@@ -84,7 +68,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     root = parser.parse_args().folder
     use_compilation_cache()
-    table = read_static(root / "Static_measurements.tar.gz")
+    table = table_of(root / "Static_measurements.tar.gz")
     known = np.round(table[:, 0]).astype(int) % 4 == 0  # they go up by 2 m
     curve = fit_power_bias(table[known, 2], table[known, 1], KNOTS)
     print("power, dBm:", *(f"{power:8.1f}" for power in curve.power))

@@ -1,5 +1,6 @@
-"""Controls that a log tells of beyond what the vehicle can do: they act as what it can."""
+"""Controls that are told beyond what the vehicle can do: they act as what it can."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,7 @@ def clipped(recording: Recording, vehicle: AbstractVehicle) -> dict[str, Any]:
     time = np.asarray(log.schedule.time)
     spans, count, found = np.diff(time, prepend=0.0), len(time), {}
     size = np.concatenate([np.abs(np.reshape(v, (count, -1))) for v in log.controls], axis=1)
-    shapes = [np.shape(v)[1:] for v in log.controls]
-    ends = np.concatenate(
-        [np.ravel(np.broadcast_to(e, s)) for e, s in zip(limits, shapes, strict=True)]
-    )
+    ends = _ends(limits, [np.shape(value)[1:] for value in log.controls])
     # A control is held until it is told anew; telling the same again is no other command.
     anew = np.concatenate([np.ones((1, len(ends)), bool), np.diff(size, axis=0) != 0])
     for place, label in enumerate(space_of(type(log.controls)).labels):
@@ -45,12 +43,7 @@ def clipped(recording: Recording, vehicle: AbstractVehicle) -> dict[str, Any]:
 def beyond(control: Any, limits: Any) -> list[str]:
     """The components of one control that are beyond their limits."""
     size = np.concatenate([np.abs(np.ravel(value)) for value in control])
-    ends = np.concatenate(
-        [
-            np.ravel(np.broadcast_to(e, np.shape(v)))
-            for e, v in zip(limits, control, strict=True)
-        ]
-    )
+    ends = _ends(limits, [np.shape(value) for value in control])
     labels, far = space_of(type(control)).labels, size > ends * (1 + ROUNDING)
     return [label for label, is_far in zip(labels, far, strict=True) if is_far]
 
@@ -63,3 +56,9 @@ def sentences(found: dict[str, Any]) -> list[str]:
         "all; it acts as the limit"
         for label, entry in found.items()
     ]
+
+
+def _ends(limits: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray:
+    """The limit of each component; a field may have one for all of its own."""
+    each = zip(limits, shapes, strict=True)
+    return np.concatenate([np.ravel(np.broadcast_to(end, shape)) for end, shape in each])

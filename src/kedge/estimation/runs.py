@@ -25,7 +25,7 @@ from kedge.numerics.native.kernel import cores
 
 CHUNK = 125
 """Runs batched in one call: enough for the vector units, few enough for the cache."""
-CLOUDS = 10
+CLOUDS = 16
 """The same for ensembles and particles, which fill the vector units by themselves."""
 
 
@@ -74,7 +74,7 @@ def estimate_runs(
         ])  # fmt: skip
     log = as_arrays(log)
     clouds = isinstance(innermost(filter), AbstractEnsembleFilter | AbstractParticleFilter)
-    step = chunk or (CLOUDS if clouds else CHUNK)
+    step = chunk or _even(count, CLOUDS if clouds else CHUNK)
     key = jr.key(0) if key is None else key
 
     def part(begin: int) -> Any:
@@ -90,6 +90,12 @@ def shared(part: Callable[[int], Any], parts: Iterable[int]) -> list[Any]:
     """What compiled programs make of each part: the cores share them, outside Python's lock."""
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(part, parts))
+
+
+def _even(count: int, most: int) -> int:
+    """Runs in a batch, at most so many: an odd number of batches, since the first goes alone."""
+    parts = -(-count // most)
+    return -(-count // (parts + 1 - parts % 2))
 
 
 def _part(log: Log, begin: int, step: int) -> Log:
