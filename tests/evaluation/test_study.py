@@ -188,6 +188,9 @@ def test_windows_are_scored_as_the_whole_is(pooled, results):
     np.testing.assert_allclose(
         4 * found["early"]["nees"] + 16 * found["else"]["nees"], 20 * whole["all_steps"]["nees"]
     )
+    late, rest = plan_of(pooled._replace(windows={"late": [(8.0, 10.0)]})).windows.values()
+    assert (late.events.sum(), rest.events.sum()) == (4, 12)
+    assert not (late.events & rest.events).any()
 
 
 def test_a_share_has_its_interval():

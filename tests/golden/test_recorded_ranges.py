@@ -57,7 +57,7 @@ def test_plaza_with_heavy_tails_instead_of_a_gate(data):
     assert rmse(found) <= 0.42
 
 
-@pytest.mark.parametrize("off", [1.57, 2.36])
+@pytest.mark.parametrize("off", [1.57, 2.36, 3.14])
 def test_plaza_with_a_wrong_start_heading(data, off):
     """The rig as it is shipped.
 

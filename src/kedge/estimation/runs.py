@@ -93,7 +93,7 @@ def shared(part: Callable[[int], Any], parts: Iterable[int]) -> list[Any]:
 
 
 def _even(count: int, most: int) -> int:
-    """Runs in a batch, at most so many: an odd number of batches, since the first goes alone."""
+    """Runs in a batch, at most so many; batches are odd in number: the first goes alone."""
     parts = -(-count // most)
     return -(-count // (parts + 1 - parts % 2))
 
