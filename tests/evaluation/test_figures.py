@@ -144,6 +144,14 @@ def test_ellipses_hold_the_share_they_claim(problem):
         np.testing.assert_allclose(squared, -2 * np.log(0.05), rtol=1e-6)
 
 
+@pytest.mark.parametrize(("factor", "filled"), [(1.0, True), (1e6, False)])
+def test_an_ellipse_that_is_larger_than_the_view_does_not_fill_it(problem, factor, filled):
+    _, _, truth, (_, run, *_) = problem
+    track = run.track._replace(cov=factor * run.track.cov)
+    ax = figures.plot_map([run._replace(track=track)], truth, {})
+    assert {patch.get_facecolor()[3] > 0 for patch in ax.patches} == {filled}
+
+
 def test_a_filter_keeps_its_colour_whatever_runs_beside_it():
     alone = style.looks(["extended"])["extended"]
     names = ["dead-reckoning", "unscented", "extended", "extended+smooth"]

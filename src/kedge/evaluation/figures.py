@@ -76,7 +76,10 @@ def plot_map(
     if not style.is_baseline((main := rivals(runs)[0]).name):
         color = looks[main.name].color
         for index, outline in enumerate(ellipses(main, 30)):
-            ax.fill(*outline.T, facecolor=(color, 0.07), edgecolor=color, lw=0.7, zorder=4)
+            # What is larger than the view would only colour it, thirty times over.
+            fits = (np.ptp(outline, axis=0) < high - low).all()
+            face = (color, 0.07) if fits else "none"
+            ax.fill(*outline.T, facecolor=face, edgecolor=color, lw=0.7, zorder=4)
             ax.patches[-1].set_label(None if index else "95 % ellipses")
     for marker, (sensor, (names, where)) in zip("^DPv*s" * 5, targets.items(), strict=False):
         ax.plot(*where.T[:2], marker, color=style.color("target"), ms=4.5, zorder=5)
