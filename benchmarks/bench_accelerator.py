@@ -13,7 +13,7 @@ import pytest
 import kedge
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.parallel import estimate_in_parallel
-from kedge.filters.square_root import SquareRootKalman
+from kedge.filters.gaussian.square_root import SquareRootKalman
 from kedge.numerics.random import normals
 from kedge.sensors.landmarks import Landmark, Landmarks, Measurement
 from kedge.vehicles.unicycle import Control, Unicycle

@@ -16,10 +16,10 @@ import pytest
 import kedge
 from kedge.estimation.batch import compile_estimate
 from kedge.estimation.rig import Installation, Rig
-from kedge.simulation.measured_vehicle import MeasuredVehicle
 from kedge.simulation.routes import FigureOfEight
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
+from kedge.simulation.worlds.measured_vehicle import MeasuredVehicle
 from kedge.vehicles.augmented import Wander, augment
 
 RATE, SECONDS = 200.0, 30.0

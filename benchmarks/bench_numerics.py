@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import kedge
-from kedge.filters.square_root import SquareRootKalman
+from kedge.filters.gaussian.square_root import SquareRootKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmark, Landmarks
 from kedge.sensors.landmarks import Measurement as Sight

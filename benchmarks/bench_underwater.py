@@ -23,9 +23,9 @@ from kedge.estimation.runs import estimate_runs
 from kedge.numerics.noise import process_std
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
-from kedge.vehicles.accelerations import slope
-from kedge.vehicles.hydrodynamics import FEATURES, features, response
-from kedge.vehicles.underwater import DOWN, FLIP, Noise, Underwater
+from kedge.vehicles.underwater.accelerations import slope
+from kedge.vehicles.underwater.hydrodynamics import FEATURES, features, response
+from kedge.vehicles.underwater.underwater import DOWN, FLIP, Noise, Underwater
 
 DT, SECONDS, MEMBERS, RUNS = 0.01, 60.0, 100, 50
 AIM = 50.0

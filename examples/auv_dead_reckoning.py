@@ -18,13 +18,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from kedge import estimate, make_filter, score
-from kedge.apps.workflow import use_compilation_cache
+from kedge.calibration.doppler import Calibration, calibrate, typical
+from kedge.config.problem import load_problem
+from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import Truth, alike
 from kedge.estimation.rig import Rig
-from kedge.evaluation.doppler_calibration import Calibration, calibrate, typical
 from kedge.evaluation.score import Run
-from kedge.files.problem import load_problem
-from kedge.files.readers import read_log
+from kedge.formats.readers import read_log
 
 END = 400.0  # s; the readings that come after the reference ends have nothing to be judged by
 

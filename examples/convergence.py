@@ -17,7 +17,7 @@ import scipy
 
 import kedge
 from kedge.core.quantities import Range
-from kedge.evaluation.style import PALETTE, looks, save_png, styled, subplots, svg_of
+from kedge.reports.style import PALETTE, looks, save_png, styled, subplots, svg_of
 
 COUNTS = (10, 30, 100, 300, 1000, 3000)
 NAMES = ("ensemble", "etkf", "particle", "guided", "auxiliary")

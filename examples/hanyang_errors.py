@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kedge.evaluation import style
-from kedge.files.error_curves import write_curves
-from kedge.positioning.error_curves import Curve, choose_curve
-from kedge.positioning.obstacles import separation
+from kedge.calibration.error_curve_files import write_curves
+from kedge.calibration.error_curves import Curve, choose_curve
+from kedge.calibration.obstacles import separation
+from kedge.reports import style
 
 TAG_HEIGHT = 1.0  # m
 NAME = re.compile(r"(LOS|NLOS)/height_([\d.]+)cm/([\d.]+)m\.csv$")

@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 
-from kedge.apps.datasets import require_located
-from kedge.apps.workflow import run_filters, use_compilation_cache
+from kedge.apps.workflow import run_filters
+from kedge.config.problem import load_problem
+from kedge.datasets.fetch import require_located
+from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.evaluation.score import Errors
-from kedge.files.problem import load_problem
 
 NAMES = ("particle:count=1000", "particle:count=5000", "extended", "unscented")
 

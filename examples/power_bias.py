@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from hanyang_errors import read_static
 
-from kedge.apps.workflow import run_filters, use_compilation_cache
-from kedge.files.problem import Problem, load_problem
-from kedge.files.tables import read_cells
-from kedge.positioning.power_bias import PowerBias, fit_power_bias
+from kedge.apps.workflow import run_filters
+from kedge.calibration.power_bias import PowerBias, fit_power_bias
+from kedge.config.problem import Problem, load_problem
+from kedge.estimation.compilation_cache import use_compilation_cache
+from kedge.formats.tables import read_cells
 
 RUNS = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for case in (1, 2)]
 KNOTS = 10

@@ -16,9 +16,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from kedge.apps.workflow import run_filters, use_compilation_cache
+from kedge.apps.workflow import run_filters
+from kedge.config.problem import Problem, load_problem
 from kedge.core.errors import DataError
-from kedge.files.problem import Problem, load_problem
+from kedge.estimation.compilation_cache import use_compilation_cache
 
 HANYANG = "hanyang_uwb/Dynamic_measurements"
 SETS = {

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import kedge  # noqa: F401  64-bit numbers
-from kedge.files.config import load_rig_config
-from kedge.files.trek1000 import ANCHORS, read_trek1000
-from kedge.positioning.calibration import calibrate
+from kedge.calibration.anchors import calibrate
+from kedge.calibration.error_curves import choose_curve, fit_curve
+from kedge.config.rigs import load_rig_config
+from kedge.datasets.trek1000 import ANCHORS, read_trek1000
 from kedge.positioning.epochs import epochs_of
-from kedge.positioning.error_curves import choose_curve, fit_curve
 from kedge.positioning.links import links
 from kedge.positioning.solver import Solver, solve_all
 

@@ -14,13 +14,13 @@ import jax.random as jr
 import numpy as np
 
 import kedge
+from kedge.config.scenarios import load_scenario
 from kedge.core.manifolds import space
 from kedge.estimation.batch import pass_over
 from kedge.estimation.rig import as_arrays
-from kedge.evaluation.tunable import choose, placed
-from kedge.evaluation.tuning import Search, Tuned, tune
-from kedge.files.scenarios import load_scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.tuning.tunable import choose, placed
+from kedge.tuning.tuning import Search, Tuned, tune
 
 GUESS = {
     "wheel_noise": 0.1,

@@ -13,8 +13,8 @@ import argparse
 import numpy as np
 
 from kedge.numerics.exponential import held_inputs
-from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import cruise, linearised, modes
+from kedge.vehicles.underwater.coefficient_files import as_coefficients
+from kedge.vehicles.underwater.hydrodynamics import cruise, linearised, modes
 
 STATES = ("u", "v", "w", "p", "q", "r", "roll", "pitch")
 COMMANDS = ("thrust", "torque", "rudder", "stern")

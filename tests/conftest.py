@@ -15,13 +15,15 @@ from jaxtyping import install_import_hook
 SOURCE = Path(__file__).parents[1] / "src" / "kedge"
 install_import_hook(
     [
-        f"kedge.{'.'.join(path.relative_to(SOURCE).with_suffix('').parts)}"
-        for folder in (SOURCE, SOURCE / "numerics")
-        for path in folder.iterdir()
-        if not path.name.startswith("__") and path.name not in ("numerics", "native")
+        f"kedge.{path.stem}"
+        for path in SOURCE.iterdir()
+        if not path.name.startswith("__") and path.name != "compiler"
     ],
     "beartype.beartype",
 )
+
+# What several rooms' tests use.
+pytest_plugins = ["fixtures.commands", "fixtures.pages"]
 
 # In the environment, so that the programs that tests start have them too.
 os.environ.setdefault("MPLBACKEND", "Agg")

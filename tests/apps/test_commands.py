@@ -210,7 +210,7 @@ def test_datasets_say_where_they_are(kedge, monkeypatch, tmp_path):
 
 
 def test_the_copy_at_hand_is_the_one_that_is_known(data):
-    from kedge.apps.datasets import locate, verify
+    from kedge.datasets.fetch import locate, verify
 
     folder = locate("mrclam")
     assert folder is not None

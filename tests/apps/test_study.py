@@ -6,11 +6,11 @@ import json
 import pytest
 
 from kedge.apps.study_output import score_names, summary_of
-from kedge.evaluation.study import Study, run_study
-from kedge.files.results import flatten
-from kedge.files.scenarios import load_scenario
-from kedge.filters.dead_reckoning import DeadReckoning
-from kedge.filters.kalman import Kalman
+from kedge.config.scenarios import load_scenario
+from kedge.filters.gaussian.dead_reckoning import DeadReckoning
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.formats.results import flatten
+from kedge.studies.study import Study, run_study
 
 SCENARIO = """
 [scenario]

@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 from kedge.apps.tune import warnings
-from kedge.files.results import as_toml
+from kedge.formats.results import as_toml
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Bearing, Heading, Range, Speed
 from kedge.core.registry import vehicles
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.testing import check_filter, check_sensor, check_vehicle
 
 

@@ -13,14 +13,14 @@ import jax.random as jr
 import pytest
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
+from kedge.compiler.calling import MOST_ROUNDS
 from kedge.core import registry
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractGaussianFilter
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.estimation.rig import Installation, check_reads
-from kedge.filters.gated import Gated
-from kedge.numerics.native.calling import MOST_ROUNDS
+from kedge.filters.wrappers.gated import Gated
 from kedge.vehicles.augmented import Augmented, Wander, augment
 
 GAUSSIAN = [

@@ -18,14 +18,14 @@ from kedge.estimation.log import Log, Schedule
 from kedge.estimation.rig import Installation, Mount, Rig, as_arrays
 from kedge.estimation.runs import estimate_runs
 from kedge.estimation.step import event_keys
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.gated import Gated
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
+from kedge.filters.wrappers.gated import Gated
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.testing import quick_jit
-from kedge.vehicles.lorenz96 import Lorenz96
+from kedge.vehicles.benchmarks.lorenz96 import Lorenz96
 from kedge.vehicles.unicycle import Unicycle
 
 

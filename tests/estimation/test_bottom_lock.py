@@ -8,7 +8,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.doppler import Doppler, Measurement
 from kedge.vehicles.body_twist import BodyTwist
 

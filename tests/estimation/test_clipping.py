@@ -9,10 +9,10 @@ from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, assemble
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Rig
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.vehicles.augmented import Augmented
 from kedge.vehicles.constant_velocity import ConstantVelocity
-from kedge.vehicles.underwater import Control, Underwater
+from kedge.vehicles.underwater.underwater import Control, Underwater
 from kedge.vehicles.unicycle import Unicycle
 
 

@@ -12,8 +12,8 @@ from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator, replay
 from kedge.estimation.smoother import smooth
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.gnss import Measurement
 from kedge.sensors.landmarks import Measurement as Sight
 from kedge.vehicles.unicycle import Control

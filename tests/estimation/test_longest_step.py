@@ -7,7 +7,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Rig
-from kedge.filters.dead_reckoning import DeadReckoning
+from kedge.filters.gaussian.dead_reckoning import DeadReckoning
 from kedge.vehicles.constant_velocity import ConstantVelocity
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import kedge
+from kedge.compiler.program import Limits
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.core.registry import filters, sensors
@@ -18,7 +19,6 @@ from kedge.estimation.log import REPEATED
 from kedge.estimation.online import Estimator, replay
 from kedge.estimation.rig import as_arrays, check_reads
 from kedge.numerics.losses import Loss
-from kedge.numerics.native.program import Limits
 from kedge.simulation.simulate import schedule, simulate, with_readings
 
 pytest.importorskip("llvmlite")

@@ -12,8 +12,8 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation import online
 from kedge.estimation.batch import estimate
 from kedge.estimation.online import Estimator, replay
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Measurement
 from kedge.sensors.landmarks import Measurement as Sight
 from kedge.vehicles.unicycle import Control

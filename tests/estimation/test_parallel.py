@@ -17,7 +17,7 @@ from kedge.estimation.batch import estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.parallel import estimate_in_parallel, smooth_in_parallel
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.kalman import Kalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control, State

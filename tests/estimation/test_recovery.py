@@ -9,10 +9,10 @@ from kedge.core.errors import ContractError
 from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.gated import Gated
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
+from kedge.filters.wrappers.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.vehicles.unicycle import Unicycle
 

@@ -9,7 +9,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.silences import exceeded, sentences
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.vehicles.constant_velocity import ConstantVelocity
 

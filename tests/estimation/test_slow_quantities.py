@@ -7,7 +7,7 @@ import numpy as np
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.landmarks import Landmarks
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record

@@ -10,13 +10,13 @@ from kedge.core.registry import filters
 from kedge.estimation.online import Estimator, replay
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.smoother import smooth
-from kedge.filters.adaptive import Adaptive
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.gated import Gated
-from kedge.filters.kalman import Kalman
-from kedge.filters.robust import Robust
-from kedge.filters.square_root import SquareRootKalman
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.gaussian.square_root import SquareRootKalman
+from kedge.filters.wrappers.adaptive import Adaptive
+from kedge.filters.wrappers.gated import Gated
+from kedge.filters.wrappers.robust import Robust
 from kedge.sensors.gnss import Gnss
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record

@@ -12,7 +12,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
 from kedge.estimation.step import Standing, take_in
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmarks
 from kedge.sensors.landmarks import Measurement as Sight

@@ -7,8 +7,9 @@ import pytest
 
 import kedge
 from kedge.estimation.log import Readings
-from kedge.evaluation.by_target import target_table, targets_off
-from kedge.evaluation.findings import units_of, warnings
+from kedge.evaluation.by_target import targets_off
+from kedge.reports.findings import units_of, warnings
+from kedge.reports.tables import target_table
 from kedge.sensors.ranges import Anchor, Ranges
 
 CORNERS = np.array([[0.0, -20.0], [60.0, -20.0], [60.0, 40.0], [0.0, 40.0]])

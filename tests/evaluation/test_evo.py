@@ -22,7 +22,7 @@ from kedge.evaluation.trajectory import (
     align,
     relative_pose_error,
 )
-from kedge.files.tum import write_tum
+from kedge.formats.tum import write_tum
 
 AGREEMENT = 1e-6  # m and rad
 

@@ -10,9 +10,9 @@ from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.health import concerns, health, smallest_eigenvalue
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.particle import BootstrapParticle
-from kedge.filters.unscented import UnscentedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.unscented import UnscentedKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control
 

@@ -12,9 +12,9 @@ from kedge.estimation.log import Readings
 from kedge.estimation.online import Estimator
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.adaptive import Adaptive
-from kedge.filters.gated import Gated
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.wrappers.adaptive import Adaptive
+from kedge.filters.wrappers.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.velocity import MapVelocity
 from kedge.sensors.velocity import Measurement as Speed

@@ -11,9 +11,9 @@ import pytest
 from kedge.core.beliefs import Ensemble, Gaussian
 from kedge.core.errors import ContractError
 from kedge.core.registry import filters
-from kedge.filters.enkf_n import FiniteSizeEnsembleKalman
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.ensembles import AbstractEnsembleFilter
+from kedge.filters.ensemble.enkf_n import FiniteSizeEnsembleKalman
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
+from kedge.filters.ensemble.stochastic import EnsembleKalman
 from kedge.numerics.ensemble import rotation
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit

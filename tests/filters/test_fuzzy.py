@@ -14,9 +14,9 @@ from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Speed
 from kedge.core.registry import filters, sensors, vehicles
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.fuzzy import FuzzyKalman
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.published.fuzzy import FuzzyKalman
 from kedge.numerics.fuzzy import corners, memberships
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit

@@ -7,8 +7,8 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
-from kedge.filters.fuzzy_noise import RULES, FuzzyNoise
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.published.fuzzy_noise import RULES, FuzzyNoise
 from kedge.numerics.fuzzy import inferred
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit

@@ -10,9 +10,9 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.gate_or_student import GateOrStudent
-from kedge.filters.gated import Gated
-from kedge.filters.robust import Robust
+from kedge.filters.wrappers.gate_or_student import GateOrStudent
+from kedge.filters.wrappers.gated import Gated
+from kedge.filters.wrappers.robust import Robust
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.vehicles.still import State, Still
 

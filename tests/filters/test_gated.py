@@ -17,8 +17,8 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
 from kedge.estimation.step import Standing, take_in
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.gated import Gated
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.wrappers.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import Unicycle

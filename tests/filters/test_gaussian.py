@@ -7,8 +7,8 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.core.registry import filters
-from kedge.filters.kalman import Kalman
-from kedge.filters.unscented import UnscentedKalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.gaussian.unscented import UnscentedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmarks
 from kedge.sensors.landmarks import Measurement as Sight

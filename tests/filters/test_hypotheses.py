@@ -8,11 +8,11 @@ import pytest
 from kedge.core.beliefs import Gaussian, Mixture
 from kedge.core.errors import ContractError
 from kedge.core.rotations import rotate
-from kedge.filters.dead_reckoning import DeadReckoning
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.hypotheses import Hypotheses
-from kedge.filters.robust import Robust
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.dead_reckoning import DeadReckoning
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.wrappers.hypotheses import Hypotheses
+from kedge.filters.wrappers.robust import Robust
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.strapdown import Strapdown

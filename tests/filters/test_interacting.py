@@ -9,10 +9,10 @@ import scipy
 
 from kedge.core.beliefs import Gaussian, Mixture
 from kedge.core.errors import ContractError
-from kedge.filters.interacting import InteractingModels
-from kedge.filters.kalman import Kalman
-from kedge.filters.particle import BootstrapParticle
-from kedge.filters.square_root import SquareRootKalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.gaussian.square_root import SquareRootKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
+from kedge.filters.wrappers.interacting import InteractingModels
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control

@@ -14,11 +14,11 @@ from kedge.core.quantities import Acceleration, Metres, Speed
 from kedge.estimation.log import Readings
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Installation
-from kedge.filters.carried import Carried
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.linearised import LinearisedKalman
-from kedge.filters.raw import Raw
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.published.linearised import LinearisedKalman
+from kedge.filters.published.raw import Raw
+from kedge.filters.wrappers.carried import Carried
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.gnss import Measurement as Fix
 from kedge.vehicles.constant_velocity import ConstantVelocity

@@ -14,9 +14,9 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Acceleration, Range, Speed
 from kedge.core.registry import filters
-from kedge.filters.auxiliary import AuxiliaryParticle
-from kedge.filters.guided import GuidedParticle
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.particle.auxiliary import AuxiliaryParticle
+from kedge.filters.particle.bootstrap import BootstrapParticle
+from kedge.filters.particle.guided import GuidedParticle
 from kedge.numerics.kernels import bandwidth
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.gnss import Measurement as Fix

@@ -10,8 +10,8 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.core.registry import filters
-from kedge.filters.iterated import IteratedExtendedKalman
-from kedge.filters.posterior_linearisation import PosteriorLinearisation
+from kedge.filters.gaussian.iterated import IteratedExtendedKalman
+from kedge.filters.gaussian.posterior_linearisation import PosteriorLinearisation
 from kedge.sensors.landmarks import Landmark, Landmarks, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import State

@@ -7,8 +7,8 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.robust import Robust
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.wrappers.robust import Robust
 from kedge.numerics.losses import Loss
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit

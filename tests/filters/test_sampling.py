@@ -9,7 +9,7 @@ import scipy
 
 from kedge.core.beliefs import Gaussian, Particles
 from kedge.core.errors import ContractError
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import State

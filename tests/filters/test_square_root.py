@@ -11,8 +11,8 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.core.registry import filters
-from kedge.filters.square_root import SquareRootKalman
-from kedge.filters.unscented import UnscentedKalman
+from kedge.filters.gaussian.square_root import SquareRootKalman
+from kedge.filters.gaussian.unscented import UnscentedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmark, Landmarks
 from kedge.sensors.landmarks import Measurement as Sight

@@ -3,7 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
-from kedge.evaluation.study_claims import FALSE, TRUE
+from kedge.studies.claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
 COUNTS = 20, 100, 500

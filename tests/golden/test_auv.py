@@ -3,7 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
-from kedge.evaluation.study_claims import FALSE, OPEN, TRUE
+from kedge.studies.claims import FALSE, OPEN, TRUE
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:fuzzy. the box")]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from kedge.config.scenarios import load_scenario
 from kedge.core.manifolds import space_of
 from kedge.estimation.rig import as_arrays
 from kedge.estimation.runs import estimate_runs
-from kedge.files.scenarios import load_scenario
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.simulation.simulate import schedule, simulate, with_readings
 
 pytestmark = pytest.mark.slow

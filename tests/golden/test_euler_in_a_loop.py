@@ -6,12 +6,12 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.core.manifolds import space
 from kedge.estimation.rig import Installation, Rig
-from kedge.evaluation.study import Study, run_study
-from kedge.evaluation.study_summary import summarise_study
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.kalman import Kalman
 from kedge.sensors.tracking_error import TrackingError
-from kedge.simulation.lane_keeping import LaneKeeping
 from kedge.simulation.scenario import Scenario
+from kedge.simulation.worlds.lane_keeping import LaneKeeping
+from kedge.studies.study import Study, run_study
+from kedge.studies.summary import summarise_study
 from kedge.vehicles.lateral_tracking import (
     AbstractLateral,
     LateralTracking,

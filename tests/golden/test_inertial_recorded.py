@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kedge.config.filters import build_filter
+from kedge.config.problem import load_problem
 from kedge.core.manifolds import charts_of
 from kedge.estimation.batch import estimate
 from kedge.evaluation.score import errors_of, track_of, truth_at
-from kedge.files.filters import build_filter
-from kedge.files.problem import load_problem
 
 
 def passed(folder, name, overrides=None, until=None):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from kedge.apps.datasets import locate
 from kedge.apps.workflow import run_filters
-from kedge.files.problem import load_problem
+from kedge.config.problem import load_problem
+from kedge.datasets.fetch import locate
 
 NAMES = ("extended", "extended+smoother")
 

@@ -3,7 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
-from kedge.evaluation.study_claims import OPEN, TRUE
+from kedge.studies.claims import OPEN, TRUE
 
 pytestmark = pytest.mark.slow
 

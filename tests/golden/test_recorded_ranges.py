@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kedge.apps.workflow import run_filters
-from kedge.files.problem import load_problem
+from kedge.config.problem import load_problem
 
 PLAZA = "plaza/Plaza1_.mat"
 HANYANG = "hanyang_uwb/Dynamic_measurements"

@@ -5,7 +5,7 @@ import pytest
 
 from kedge.apps.study import Options, execute
 from kedge.evaluation.consistency import chi_square_interval
-from kedge.evaluation.study_claims import FALSE, OPEN, TRUE
+from kedge.studies.claims import FALSE, OPEN, TRUE
 
 pytestmark = pytest.mark.slow
 STEPS = "step_20", "step_100", "step_150", "step_200"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from kedge.apps.study import Options, execute
-from kedge.evaluation.study_claims import FALSE, TRUE
+from kedge.studies.claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[2] / "examples"

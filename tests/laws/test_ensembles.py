@@ -9,6 +9,8 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from kedge.config.filters import build_filter
+from kedge.config.scenarios import load_scenario
 from kedge.core.beliefs import Ensemble, Gaussian
 from kedge.core.contracts import AbstractMeasurementModel
 from kedge.core.registry import filters
@@ -16,15 +18,13 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.runs import estimate_runs
-from kedge.evaluation.study import Study, run_study
-from kedge.files.filters import build_filter
-from kedge.files.scenarios import load_scenario
-from kedge.filters.ensembles import AbstractEnsembleFilter
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
 from kedge.sensors.components import Components
+from kedge.studies.study import Study, run_study
 from kedge.testing import quick_jit
+from kedge.vehicles.benchmarks.lorenz96 import Lorenz96, ring
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control
 from kedge.vehicles.constant_velocity import State as Planar
-from kedge.vehicles.lorenz96 import Lorenz96, ring
 
 NAMES = [
     name for name in filters.names() if issubclass(filters.get(name), AbstractEnsembleFilter)

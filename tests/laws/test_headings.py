@@ -7,10 +7,10 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.rotations import wrap
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.particle import BootstrapParticle
-from kedge.filters.unscented import UnscentedKalman
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.unscented import UnscentedKalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.landmarks import Landmark, Landmarks, Measurement
 from kedge.testing import quick_jit
 from kedge.vehicles.unicycle import Control, State, Unicycle

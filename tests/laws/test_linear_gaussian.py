@@ -24,10 +24,10 @@ from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.parallel import smooth_in_parallel
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.smoother import rauch_tung_striebel, smooth
-from kedge.filters.dead_reckoning import DeadReckoning
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.kalman import Kalman
-from kedge.filters.particle import BootstrapParticle
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.dead_reckoning import DeadReckoning
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.testing import quick_jit
 
 GAUSSIAN = [

@@ -16,8 +16,8 @@ from kedge.core.registry import filters
 from kedge.estimation.log import Readings
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Installation
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.unscented import UnscentedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.unscented import UnscentedKalman
 from kedge.sensors import landmarks
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.landmarks import Landmark, Landmarks

@@ -8,8 +8,8 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.estimation.rig import Installation, Rig
 from kedge.sensors.components import Components
+from kedge.vehicles.benchmarks.lorenz96 import Lorenz96, ring
 from kedge.vehicles.constant_velocity import ConstantVelocity
-from kedge.vehicles.lorenz96 import Lorenz96, ring
 
 
 def test_every_stride_th_or_those_listed():

@@ -9,7 +9,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.range_differences import Anchor as Pair
 from kedge.sensors.range_differences import RangeDifferences
 from kedge.sensors.range_epoch import RangeEpoch

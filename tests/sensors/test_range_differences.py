@@ -9,7 +9,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.estimation.batch import estimate
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.iterated import IteratedExtendedKalman
+from kedge.filters.gaussian.iterated import IteratedExtendedKalman
 from kedge.positioning.links import links
 from kedge.positioning.solver import Solver
 from kedge.sensors.range_differences import Anchor, Measurement, RangeDifferences

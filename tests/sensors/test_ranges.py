@@ -4,13 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from kedge.config.scenarios import load_scenario
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Mount, Rig
-from kedge.files.scenarios import load_scenario
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.ranges import Anchor, Measurement, Ranges, Ranges3, Reads3
 from kedge.testing import check_sensor, quick_jit
 from kedge.vehicles.augmented import Wander, augment

@@ -9,7 +9,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.estimation.log import Readings
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Installation
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.numerics.noise import process_std
 from kedge.sensors.squared_ranges import Measurement, Reads, SquaredRanges
 from kedge.testing import quick_jit

@@ -8,7 +8,7 @@ import numpy as np
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.quantities import AngularRate3
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.zero_velocity import AtRest, ZeroRate
 from kedge.testing import quick_jit
 

@@ -12,12 +12,12 @@ from kedge.core.errors import ContractError
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.simulation.autopilot import trim
 from kedge.simulation.auv_routes import LawnMower
-from kedge.simulation.auv_world import TIED, Body, UnderwaterWorld
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import simulate
-from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import features, response
-from kedge.vehicles.underwater import Control, Underwater
+from kedge.simulation.worlds.auv import TIED, Body, UnderwaterWorld
+from kedge.vehicles.underwater.coefficient_files import as_coefficients
+from kedge.vehicles.underwater.hydrodynamics import features, response
+from kedge.vehicles.underwater.underwater import Control, Underwater
 
 
 @eqx.filter_jit

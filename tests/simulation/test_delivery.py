@@ -8,7 +8,7 @@ import numpy as np
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.position_velocity import PositionVelocity
 from kedge.simulation.delivery import delivered
 from kedge.simulation.fault_kinds import Dropout, Duplicate, OutOfOrder

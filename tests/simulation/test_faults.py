@@ -30,9 +30,9 @@ from kedge.simulation.fault_kinds import (
     Stuck,
 )
 from kedge.simulation.faults import Episodes, Fault, complaint
-from kedge.simulation.lane_keeping import LaneKeeping
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import simulate
+from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.vehicles.constant_velocity import ConstantVelocity, State
 from kedge.vehicles.unicycle import Unicycle
 

@@ -4,8 +4,8 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from kedge.config.scenarios import load_scenario
 from kedge.core.errors import ConfigError
-from kedge.files.scenarios import load_scenario
 from kedge.simulation.fault_kinds import Dropout
 from kedge.simulation.faults import Fault, drawn
 

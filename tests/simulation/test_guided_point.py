@@ -8,10 +8,10 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.rig import Rig
-from kedge.simulation.guided_point import GuidedPoint
 from kedge.simulation.routes import Rectangle
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import simulate
+from kedge.simulation.worlds.guided_point import GuidedPoint
 from kedge.vehicles.constant_velocity import ConstantVelocity
 
 DT, GUST = 0.1, 0.1

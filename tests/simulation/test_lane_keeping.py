@@ -7,10 +7,10 @@ import pytest
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.rig import Installation, Rig
 from kedge.sensors.tracking_error import TrackingError
-from kedge.simulation.lane_keeping import LaneKeeping
 from kedge.simulation.routes import Lane
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import simulate
+from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.vehicles.lateral_tracking import LateralTracking
 
 CALM = LateralTracking(lateral_noise=0.0, yaw_noise=0.0, longitudinal_noise=0.0)

@@ -13,13 +13,13 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
-from kedge.filters.ensemble import EnsembleKalman
-from kedge.filters.extended import ExtendedKalman
+from kedge.filters.ensemble.stochastic import EnsembleKalman
+from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.tracking_error import TrackingError
-from kedge.simulation.lane_keeping import LaneKeeping
 from kedge.simulation.loop import start_near
 from kedge.simulation.scenario import Navigator, Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.vehicles.constant_velocity import ConstantVelocity
 from kedge.vehicles.lateral_tracking import LateralTracking
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from kedge.core.registry import vehicles
-from kedge.simulation.measured_vehicle import MeasuredVehicle
 from kedge.simulation.routes import FigureOfEight
+from kedge.simulation.worlds.measured_vehicle import MeasuredVehicle
 from kedge.testing import quick_jit
 from kedge.vehicles.strapdown import Imu, State
 

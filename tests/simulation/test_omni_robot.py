@@ -13,12 +13,12 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.errors import ContractError
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig, as_arrays
-from kedge.filters.dead_reckoning import DeadReckoning
+from kedge.filters.gaussian.dead_reckoning import DeadReckoning
 from kedge.sensors.landmark_pose import Landmark, LandmarkPose
-from kedge.simulation.omni_robot import OmniRobot
 from kedge.simulation.routes import AbstractRoute, Circle, Facing, Place, Waypoints
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.simulation.worlds.omni_robot import OmniRobot
 from kedge.vehicles.omnidirectional import Omnidirectional, State
 
 LANDMARK = (1.0, 0.0)

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
+from kedge.config.scenarios import load_scenario
 from kedge.core.errors import ConfigError, ContractError
-from kedge.files.scenarios import load_scenario
 from kedge.simulation.simulate import record
 
 SCENARIO = """

@@ -6,9 +6,9 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from kedge.vehicles.accelerations import accelerations
-from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import features, response
+from kedge.vehicles.underwater.accelerations import accelerations
+from kedge.vehicles.underwater.coefficient_files import as_coefficients
+from kedge.vehicles.underwater.hydrodynamics import features, response
 
 
 @pytest.mark.parametrize("name", ["remus100-derived", "torpedo-1m"])

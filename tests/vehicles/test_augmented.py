@@ -8,7 +8,7 @@ import pytest
 from kedge.core.beliefs import Ensemble, Gaussian, Particles
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.filters.square_root import SqrtGaussian
+from kedge.filters.gaussian.square_root import SqrtGaussian
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.testing import quick_jit

@@ -7,9 +7,13 @@ import pytest
 
 from kedge.core.errors import ConfigError, ContractError, UnknownName
 from kedge.numerics.stability import longest_step
-from kedge.vehicles.coefficient_files import as_coefficients, as_toml, shipped_coefficients
-from kedge.vehicles.hull_geometry import Fins, Hull, coefficients_from_geometry
-from kedge.vehicles.underwater import Underwater
+from kedge.vehicles.underwater.coefficient_files import (
+    as_coefficients,
+    as_toml,
+    shipped_coefficients,
+)
+from kedge.vehicles.underwater.hull_geometry import Fins, Hull, coefficients_from_geometry
+from kedge.vehicles.underwater.underwater import Underwater
 
 DERIVED = as_coefficients("remus100-derived")
 

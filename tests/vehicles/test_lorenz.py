@@ -8,9 +8,9 @@ import pytest
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space_of
 from kedge.testing import quick_jit
-from kedge.vehicles.autonomous import Control
-from kedge.vehicles.lorenz63 import Lorenz63, State
-from kedge.vehicles.lorenz96 import Lorenz96, ring
+from kedge.vehicles.benchmarks.autonomous import Control
+from kedge.vehicles.benchmarks.lorenz63 import Lorenz63, State
+from kedge.vehicles.benchmarks.lorenz96 import Lorenz96, ring
 
 
 def test_advection_keeps_the_energy():

@@ -8,8 +8,8 @@ import scipy.optimize
 from scipy.spatial.transform import Rotation
 
 from kedge.estimation.rig import as_arrays
-from kedge.vehicles.coefficient_files import as_coefficients
-from kedge.vehicles.hydrodynamics import (
+from kedge.vehicles.underwater.coefficient_files import as_coefficients
+from kedge.vehicles.underwater.hydrodynamics import (
     FEATURES,
     FORCES,
     GRAVITY,
@@ -20,7 +20,7 @@ from kedge.vehicles.hydrodynamics import (
     modes,
     terms,
 )
-from kedge.vehicles.underwater import FLIP, Control, Noise, State, Underwater
+from kedge.vehicles.underwater.underwater import FLIP, Control, Noise, State, Underwater
 
 SETS = ("remus100-derived", "remus100-adjusted", "torpedo-1m")
 CALM = Noise(jnp.zeros(3), jnp.zeros(3))

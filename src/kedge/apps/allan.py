@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 
 from kedge import __version__
+from kedge.calibration.allan import AllanCurve, AllanFit, allan, fit
+from kedge.config.readings import find_table
 from kedge.core.errors import DataError
 from kedge.estimation.log import SECOND
-from kedge.evaluation.allan import AllanCurve, AllanFit, allan, draw_allan, fit
-from kedge.evaluation.style import save_png, subplots, svg_of
-from kedge.files.atomic import fresh_folder
-from kedge.files.logs import digest_inputs
-from kedge.files.readers import read_log
-from kedge.files.readings import find_table
-from kedge.files.results import write_csv, write_summary
+from kedge.formats.atomic import fresh_folder
+from kedge.formats.logs import digest_inputs
+from kedge.formats.readers import read_log
+from kedge.formats.results import write_csv, write_summary
+from kedge.reports.allan_figure import draw_allan
+from kedge.reports.style import save_png, subplots, svg_of
 
 
 def execute(log: str, format: str, source: str | None, out: Path | None) -> dict[str, Any]:

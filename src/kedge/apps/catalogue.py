@@ -78,7 +78,7 @@ def _titles(kind: str) -> dict[str, Any]:
 
 
 def _datasets() -> dict[str, Any]:
-    from kedge.apps.datasets import DATASETS, locate
+    from kedge.datasets.fetch import DATASETS, locate
 
     found = {}
     for name, entry in DATASETS.items():

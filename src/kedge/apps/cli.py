@@ -110,7 +110,7 @@ def compare(
 ) -> None:
     """Several filters over one recorded log."""
     from kedge.apps.workflow import execute, load
-    from kedge.files.filters import split_names
+    from kedge.config.filters import split_names
 
     conditions, names = parse_requirements(require_ or []), split_names(filters)
     check_requirements(conditions, names)
@@ -140,7 +140,7 @@ def locate(
 ) -> None:
     """A fix for every epoch of ranges in a log, each by itself."""
     from kedge.apps.locate import Options, execute, print_fixes
-    from kedge.files.filters import split_names
+    from kedge.config.filters import split_names
 
     conditions, names = parse_requirements(require_ or []), split_names(solvers)
     check_requirements(conditions, names)
@@ -315,7 +315,7 @@ def datasets_list(as_json: Json = False) -> None:
 def datasets_fetch(name: str) -> None:
     """Download a data set from its original source, and check every file."""
     from kedge.apps.console import progress
-    from kedge.apps.datasets import dataset, fetch
+    from kedge.datasets.fetch import dataset, fetch
 
     with progress() as say:
         say(f"{name}: {dataset(name).url}")
@@ -326,7 +326,7 @@ def datasets_fetch(name: str) -> None:
 @datasets_app.command("path")
 def datasets_path(name: str) -> None:
     """Print where a data set is."""
-    from kedge.apps.datasets import require_located
+    from kedge.datasets.fetch import require_located
 
     print(require_located(name))
 
@@ -334,7 +334,7 @@ def datasets_path(name: str) -> None:
 @config_app.command("schema")
 def config_schema() -> None:
     """Print the JSON schema of a rig file."""
-    from kedge.files.config import rig_schema
+    from kedge.config.rigs import rig_schema
 
     print_json(rig_schema())
 

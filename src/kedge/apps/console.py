@@ -64,7 +64,7 @@ def plain_warnings() -> Iterator[None]:
 
 def print_json(value: Any) -> None:
     """Machine-readable output."""
-    from kedge.files.results import plain
+    from kedge.formats.results import plain
 
     print(json.dumps(plain(value), indent=2, allow_nan=False))
 
@@ -173,7 +173,7 @@ def require(filters: Mapping[str, Any], conditions: Conditions) -> None:
         ConfigError: there is no such score.
         ThresholdMissed: a condition does not hold.
     """
-    from kedge.files.results import flatten
+    from kedge.formats.results import flatten
 
     scores = {k: v for k, v in flatten(filters) if isinstance(v, (int, float))}
     for name, relation, bound in conditions:

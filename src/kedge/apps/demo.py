@@ -7,14 +7,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import jax.random as jr
 
-from kedge.apps.datasets import fetch
+from kedge.config.problem import Problem, load_problem
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import DataError
 from kedge.core.registry import make_sensor, make_vehicle
+from kedge.datasets.fetch import fetch
 from kedge.estimation.rig import Installation, Rig
-from kedge.files.logs import write_log
-from kedge.files.problem import Problem, load_problem
-from kedge.files.simulated import simulated_log
+from kedge.formats.logs import write_log
+from kedge.formats.simulated import simulated_log
 from kedge.simulation.scenario import Scenario
 
 FILTERS = ("dead-reckoning", "extended", "unscented", "extended+smoother")

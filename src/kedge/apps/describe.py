@@ -5,10 +5,10 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from kedge.config.filters import parameters_of
 from kedge.core import registry
 from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle
 from kedge.core.manifolds import charts_of, space, space_of
-from kedge.files.filters import parameters_of
 
 
 def describe(cls: type) -> dict[str, Any]:

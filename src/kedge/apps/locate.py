@@ -12,22 +12,23 @@ from jaxtyping import Float, Int
 
 from kedge import __version__
 from kedge.apps.console import progress
-from kedge.apps.workflow import load, use_compilation_cache
+from kedge.apps.workflow import load
+from kedge.config.filters import build_filter
+from kedge.config.problem import Problem
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import charts_of
 from kedge.core.registry import unknown
+from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import SECOND
-from kedge.evaluation.fixes import plot_fixes, plot_residuals, residual_rows, score_fixes
-from kedge.evaluation.page import Front, Plate, write_page
 from kedge.evaluation.score import truth_at
-from kedge.files.atomic import fresh_folder
-from kedge.files.filters import build_filter
-from kedge.files.problem import Problem
-from kedge.files.results import as_toml, digest, plain, write_csv, write_summary, write_table
+from kedge.formats.atomic import fresh_folder
+from kedge.formats.results import as_toml, digest, plain, write_csv, write_summary, write_table
 from kedge.positioning.epochs import Epochs, epochs_of
 from kedge.positioning.fix import Fix, Status
 from kedge.positioning.links import Links
 from kedge.positioning.solver import solve_all
+from kedge.reports.fixes import plot_fixes, plot_residuals, residual_rows, score_fixes
+from kedge.reports.page import Front, Plate, write_page
 
 
 class Options(NamedTuple):

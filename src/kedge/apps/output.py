@@ -7,11 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from kedge.config.problem import Problem
 from kedge.core.manifolds import space_of
 from kedge.evaluation.score import Run
-from kedge.files.problem import Problem
-from kedge.files.results import write_estimate, write_summary, write_table, write_verdicts
-from kedge.files.tum import write_tum
+from kedge.formats.results import write_estimate, write_summary, write_table, write_verdicts
+from kedge.formats.tum import write_tum
 
 
 def write_results(

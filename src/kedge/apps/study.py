@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge.apps.console import Interrupted, check_requirements, progress
-from kedge.apps.engines import Job, check, chosen
 from kedge.apps.study_output import content_of, score_names, summary_of, write_study
-from kedge.apps.workflow import settings, use_compilation_cache
+from kedge.apps.workflow import settings
+from kedge.config.filters import split_names
+from kedge.config.scenarios import load_scenario
 from kedge.core.errors import ConfigError, DataError
-from kedge.evaluation.page import require_studio
-from kedge.evaluation.study import Trials
-from kedge.evaluation.study_report import write_study_report
-from kedge.evaluation.study_scores import Tally, chunks_of, unpack
-from kedge.files.chunks import ChunkFolder, read_study, study_digest
-from kedge.files.filters import split_names
-from kedge.files.scenarios import load_scenario
+from kedge.estimation.compilation_cache import use_compilation_cache
+from kedge.reports.page import require_studio
+from kedge.reports.study_report import write_study_report
+from kedge.studies.chunks import ChunkFolder, read_study, study_digest
+from kedge.studies.engines import Job, check, chosen
+from kedge.studies.scores import Tally, chunks_of, unpack
+from kedge.studies.study import Trials
 
 FORMAT = 1
 """Of the chunks' files."""

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from kedge import __version__
+from kedge.config.scenarios import Setting
 from kedge.estimation.compiled import compiler
-from kedge.evaluation.study import Study, plan_of
-from kedge.evaluation.study_claims import (
+from kedge.formats.results import as_toml, digest, flatten, plain, write_summary, write_table
+from kedge.reports.study_report import StudyContent
+from kedge.studies.claims import (
     FALSE,
     OPEN,
     TRUE,
@@ -22,11 +24,9 @@ from kedge.evaluation.study_claims import (
     judge_band,
     look_up,
 )
-from kedge.evaluation.study_report import StudyContent
-from kedge.evaluation.study_scores import Result, Tally
-from kedge.evaluation.study_summary import blank, summarise_study, windows
-from kedge.files.results import as_toml, digest, flatten, plain, write_summary, write_table
-from kedge.files.scenarios import Setting
+from kedge.studies.scores import Result, Tally
+from kedge.studies.study import Study, plan_of
+from kedge.studies.summary import blank, summarise_study, windows
 
 
 def write_study(

@@ -8,19 +8,20 @@ from typing import Any, NamedTuple
 
 from kedge import __version__
 from kedge.apps.console import progress
-from kedge.apps.workflow import load, settings, use_compilation_cache
+from kedge.apps.workflow import load, settings
+from kedge.config.filters import build_filter
+from kedge.config.problem import Problem, load_problem
 from kedge.core.errors import ConfigError, DataError
 from kedge.estimation.batch import estimate
+from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.evaluation.score import score
-from kedge.evaluation.style import save_png, svg_of
-from kedge.evaluation.tunable import choose
-from kedge.evaluation.tuning import Search, Tuned, tune
-from kedge.evaluation.tuning_loss import ungated
-from kedge.evaluation.tuning_report import draw_profiles, parameter_rows, part_scores
-from kedge.files.atomic import fresh_folder
-from kedge.files.filters import build_filter
-from kedge.files.problem import Problem, load_problem
-from kedge.files.results import as_toml, plain, write_summary
+from kedge.formats.atomic import fresh_folder
+from kedge.formats.results import as_toml, plain, write_summary
+from kedge.reports.style import save_png, svg_of
+from kedge.reports.tuning_report import draw_profiles, parameter_rows, part_scores
+from kedge.tuning.loss import ungated
+from kedge.tuning.tunable import choose
+from kedge.tuning.tuning import Search, Tuned, tune
 
 MOST_HELD_OUT = 0.9
 WORSE = 1.1

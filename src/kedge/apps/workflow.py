@@ -1,6 +1,5 @@
 """The work behind ``estimate``, ``compare`` and ``demo``: filters over one recorded log."""
 
-import os
 import platform
 import sys
 import time
@@ -12,23 +11,23 @@ from typing import Any
 import jax
 import jax.random as jr
 import numpy as np
-from platformdirs import user_cache_path
 
 from kedge import __version__
 from kedge.apps.console import progress
 from kedge.apps.output import write_results
+from kedge.config.filters import build_filter
+from kedge.config.problem import Problem, load_problem
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
+from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.compiled import compiler
 from kedge.estimation.smoother import compile_smoother
-from kedge.evaluation.findings import principal
 from kedge.evaluation.health import concerns
-from kedge.evaluation.report import ReportContent, write_report
 from kedge.evaluation.score import Run, in_the_map, score
-from kedge.files.atomic import fresh_folder
-from kedge.files.filters import build_filter
-from kedge.files.problem import Problem, load_problem
-from kedge.files.results import as_toml, digest, plain
+from kedge.formats.atomic import fresh_folder
+from kedge.formats.results import as_toml, digest, plain
+from kedge.reports.findings import principal
+from kedge.reports.report import ReportContent, write_report
 
 SMOOTHER = "+smoother"
 BASELINE = "dead-reckoning"
@@ -82,14 +81,6 @@ def execute(
             say("drawing the report")
             write_report(folder, content_of(problem, runs, summary))
     return plain(summary)
-
-
-def use_compilation_cache() -> None:
-    """Keep compiled programs between commands, unless the user has said where himself."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = user_cache_path("kedge") / "compiled"
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def run_filters(

@@ -212,12 +212,25 @@ class Space(Generic[S]):
     @property
     def labels(self) -> tuple[str, ...]:
         """Name of each tangent component: ``position_x``, ``heading``."""
-        axes = "xyz"
+        pairs = zip(self._names, self.charts, strict=True)
         return tuple(
-            f"{name}_{axes[i] if chart.size <= 3 else i}" if chart.size > 1 else name
-            for name, chart in zip(self._names, self.charts, strict=True)
-            for i in range(chart.size)
+            label for name, chart in pairs for label in component_names(name, chart.size)
         )
+
+    @property
+    def columns(self) -> dict[str, tuple[str, ...]]:
+        """By field, what the columns of its components are called in a file."""
+        pairs = zip(self._names, self.charts, strict=True)
+        return {name: columns_of(name, chart) for name, chart in pairs}
+
+    @property
+    def column_units(self) -> dict[str, str]:
+        """By column, its unit in a file; the components of a quaternion have the unit 1."""
+        return {
+            column: chart.unit if chart.shape == chart.tangent_shape else "1"
+            for chart, columns in zip(self.charts, self.columns.values(), strict=True)
+            for column in columns
+        }
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -234,6 +247,24 @@ class Space(Generic[S]):
 
     def _split(self, vector: Float[Array, " n"]) -> list[Array]:
         return [vector[cut] for cut in self.slices().values()]
+
+
+def component_names(field: str, size: int) -> tuple[str, ...]:
+    """What the components of a field are called: ``position_x``; a single one, as the field."""
+    if size == 1:
+        return (field,)
+    axes = "xyz" if size <= 3 else map(str, range(size))
+    return tuple(f"{field}_{axis}" for _, axis in zip(range(size), axes, strict=False))
+
+
+def columns_of(field: str, chart: Chart) -> tuple[str, ...]:
+    """What the columns of a field of a state, control or measurement are called in a file.
+
+    The names of :func:`component_names`; the four of a quaternion end in ``_w`` to ``_z``.
+    """
+    if chart.shape != chart.tangent_shape:
+        return tuple(f"{field}_{axis}" for axis in "wxyz")
+    return component_names(field, chart.size)
 
 
 SLOW = "slow"

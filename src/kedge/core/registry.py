@@ -2,8 +2,8 @@
 
 A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters``,
 ``kedge/positioning`` (whose fix is a filter too) or, for worlds, routes and faults,
-``kedge/simulation`` is imported on first use, and so is every installed
-entry point of group ``kedge.<family>``. There is no list to edit.
+``kedge/simulation``, or into a folder in one of them, is imported on first use, and so is
+every installed entry point of group ``kedge.<family>``. There is no list to edit.
 """
 
 import dataclasses
@@ -87,8 +87,8 @@ class Registry(Generic[T]):
         self._complete = True
         for name in self.packages:
             package = importlib.import_module(name)
-            for module in pkgutil.iter_modules(package.__path__):
-                importlib.import_module(f"{name}.{module.name}")
+            for module in pkgutil.walk_packages(package.__path__, f"{name}."):
+                importlib.import_module(module.name)
         for point in entry_points(group=f"kedge.{self.family}"):
             point.load()
 

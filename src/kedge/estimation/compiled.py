@@ -13,19 +13,19 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from kedge.compiler.graph import Unsupported
+from kedge.compiler.machine import is_available
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
 from kedge.estimation.log import Log
 from kedge.estimation.passage import innermost
 from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates
-from kedge.filters.cloud import AbstractParticleFilter
-from kedge.filters.ensembles import AbstractEnsembleFilter
-from kedge.numerics.native.graph import Unsupported
-from kedge.numerics.native.machine import is_available
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
+from kedge.filters.particle.cloud import AbstractParticleFilter
 
 Engine = Literal["auto", "native", "xla"]
-"""Who compiles the pass: LLVM by way of :mod:`kedge.numerics.native`, or XLA.
+"""Who compiles the pass: LLVM by way of :mod:`kedge.compiler`, or XLA.
 
 ``auto`` takes native code on a CPU in 64 bits, if the extra ``native`` is installed and the
 filter is straight-line code: neither random numbers nor loops nor decompositions. The variable

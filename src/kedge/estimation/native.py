@@ -12,14 +12,14 @@ import jax.random as jr
 import numpy as np
 from jax.extend.core import Literal
 
+from kedge.compiler.graph import Unsupported
+from kedge.compiler.kernel import Kernel, cores, prepared
+from kedge.compiler.program import SHORT, Argument, Limits, build
+from kedge.compiler.values import kind_of
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.log import Log
 from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates, whole_pass
-from kedge.numerics.native.graph import Unsupported
-from kedge.numerics.native.kernel import Kernel, cores, prepared
-from kedge.numerics.native.program import SHORT, Argument, Limits, build
-from kedge.numerics.native.values import kind_of
 
 ROWS = 2
 """In place of however many events or readings there are, while the program is traced."""

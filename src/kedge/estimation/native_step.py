@@ -6,6 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from kedge.compiler.algebra import TYPES
+from kedge.compiler.kernel import prepared
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
@@ -14,8 +16,6 @@ from kedge.estimation.delayed import Event, State
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Rig
 from kedge.estimation.step import Outcome, Standing
-from kedge.numerics.native.algebra import TYPES
-from kedge.numerics.native.kernel import prepared
 
 NO_EVENT = -1
 

@@ -22,9 +22,15 @@ from kedge.estimation.log import Log
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.step import Outcome, Standing, advance, condition
-from kedge.filters.extended import ExtendedKalman
-from kedge.filters.gaussian import AbstractMomentFilter, motion, moved, sight_of, turned
-from kedge.filters.kalman import Kalman
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.gaussian.kalman import Kalman
+from kedge.filters.gaussian.recursion import (
+    AbstractMomentFilter,
+    motion,
+    moved,
+    sight_of,
+    turned,
+)
 from kedge.numerics import associative
 from kedge.numerics.associative import Affine, FilterElement
 from kedge.numerics.noise import process_std

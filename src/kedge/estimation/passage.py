@@ -10,8 +10,8 @@ from kedge.core.beliefs import Ensemble, Gaussian
 from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Scalar
-from kedge.filters.ensembles import AbstractEnsembleFilter
-from kedge.filters.wrapper import AbstractWrapper
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
+from kedge.filters.wrappers.wrapper import AbstractWrapper
 from kedge.numerics.gram import gram
 from kedge.numerics.linalg import cholesky, gain
 

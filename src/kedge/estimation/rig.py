@@ -34,7 +34,7 @@ class Installation(eqx.Module):
     """How readings far from the prediction are weighed down; not at all if not given."""
     recovery: float | None = eqx.field(static=True, default=None)
     """s after which a gate that refused everything lets readings in again: see
-    :func:`kedge.filters.gated.regain`. Counted together over all sensors that have it."""
+    :func:`kedge.filters.wrappers.gated.regain`. Counted over all sensors that have it."""
 
     allowed_silence: float | None = eqx.field(static=True, default=None)
     """s without a reading of it that is fused, after which the estimate counts as degraded."""

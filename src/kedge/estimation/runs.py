@@ -12,6 +12,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Int, PRNGKeyArray
 
+from kedge.compiler.kernel import cores
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.estimation.compiled import Engine, compiled_pass
@@ -19,9 +20,8 @@ from kedge.estimation.log import Log
 from kedge.estimation.passage import innermost
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.traced import Estimates, pass_over
-from kedge.filters.cloud import AbstractParticleFilter
-from kedge.filters.ensembles import AbstractEnsembleFilter
-from kedge.numerics.native.kernel import cores
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
+from kedge.filters.particle.cloud import AbstractParticleFilter
 
 CHUNK = 125
 """Runs batched in one call: enough for the vector units, few enough for the cache."""

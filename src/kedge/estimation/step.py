@@ -17,8 +17,8 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.reading import is_positive_definite, sight
 from kedge.estimation.rig import Installation, Rig, as_arrays
-from kedge.filters.gated import Gated, regain
-from kedge.filters.robust import Robust
+from kedge.filters.wrappers.gated import Gated, regain
+from kedge.filters.wrappers.robust import Robust
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.random import fold_in
 

@@ -1,1 +1,1 @@
-"""How good an estimate is, and whether it knows: accuracy, consistency, studies, reports."""
+"""Figures of merit: how good an estimate is, and whether it knows."""

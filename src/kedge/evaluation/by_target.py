@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 
 from kedge.core.verdicts import Verdict
 from kedge.estimation.step import Outcome
-from kedge.evaluation import style
 
 FEW = 20  # readings; a median of fewer says little
 OFF = 0.7  # predicted standard deviations of the median from 0; honest ones stay below a tenth
@@ -96,32 +95,3 @@ def targets_off(scores: Mapping[str, Any], units: Mapping[str, Mapping[str, str]
                         Off(sensor, target, label, unit, part["median"], part["standardised"])
                     )
     return sorted(found, key=lambda off: -abs(off.standardised))
-
-
-def target_table(
-    scores: Mapping[str, Any], units: Mapping[str, Mapping[str, str]]
-) -> list[list[str]]:
-    """A row for each component of each target: readings, gated, median, spread."""
-    worst = {(off.sensor, off.target, off.component) for off in targets_off(scores, units)}
-    rows = []
-    for sensor, entry in scores["sensors"].items():
-        for target, about in entry.get("targets", {}).items():
-            for label, unit in units.get(sensor, {}).items():
-                if label not in about:
-                    continue
-                part, (factor, symbol) = about[label], style.shown(unit)
-                name = f"{sensor}: {target}"
-                if len(units[sensor]) > 1:
-                    name += f", {style.words(label)}"
-                rows.append(
-                    [
-                        name,
-                        style.count(about["readings"]),
-                        style.percent(about["gated"] / about["readings"]),
-                        f"{style.number(factor * part['median'])} {symbol}",
-                        f"{style.number(factor * part['spread'])} {symbol}",
-                        style.number(part["standardised"], 2),
-                        "yes" if (sensor, target, label) in worst else "",
-                    ]
-                )
-    return rows

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from kedge.core.quantities import Radians, Scalar
 from kedge.core.rotations import matrix_of, wrap
-from kedge.vehicles.hydrodynamics import Coefficients
-from kedge.vehicles.underwater import Control
+from kedge.vehicles.underwater.hydrodynamics import Coefficients
+from kedge.vehicles.underwater.underwater import Control
 
 
 class Target(NamedTuple):

@@ -1,0 +1,166 @@
+"""Anchors that find their own places from the ranges between them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from kedge.calibration.anchors import usable_pairs
+from kedge.core.errors import DataError
+
+STEPS = 200
+
+
+class Survey(NamedTuple):
+    """Places of anchors, up to the frame that the first three define."""
+
+    anchors: Float[np.ndarray, "m 2"]
+    """The first at the origin, the second on the x axis, the third to its left; m."""
+    delays: Float[np.ndarray, " m"]
+    """Of each radio, m; zeros where they were not looked for."""
+    std: float
+    """Of the residuals, m."""
+    position_std: Float[np.ndarray, " m"]
+    """Of each place, m, from the curvature at the solution."""
+
+
+def self_survey(
+    ranges: Any, std: float = 0.05, delay_std: float | None = 0.1, guess: Any = None
+) -> Survey:
+    r"""Places in the plane from ranges $D_{ij} = d_{ij} + \delta_i + \delta_j$ between anchors.
+
+    Classical scaling of the squared ranges gives a start; then all ranges are fitted, with a
+    delay for each radio that is drawn from $N(0, \sigma_\delta)$. Without delays
+    (``delay_std`` None) their mean makes the whole layout larger.
+
+    Args:
+        ranges: m x m, m; means over repetitions, NaN where a pair was not measured.
+        std: of a range, m.
+        delay_std: of the delays, m.
+        guess: rough places, m x 2; needed where pairs are missing.
+
+    Raises:
+        DataError: fewer than 4 anchors, or pairs that do not hold them together.
+
+    Source: I. Borg, P. Groenen, "Modern Multidimensional Scaling", 2nd ed., 2005, section 12.1
+    (the start).
+    """
+    measured = np.asarray(ranges, float)
+    count = len(measured)
+    if measured.shape != (count, count) or count < 4:
+        raise DataError(f"survey: found ranges {measured.shape}, expected m x m, 4 or more")
+    there = usable_pairs(measured)
+    rows, columns = np.nonzero(np.triu(there))
+    both = np.stack([measured[rows, columns], measured[columns, rows]])
+    both = np.where(np.isfinite(both) & (both > 0), both, np.nan)
+    value, copies = np.nanmean(both, axis=0), np.isfinite(both).sum(axis=0)
+    if len(value) < 2 * count - 3:
+        raise DataError(
+            f"survey: found {len(value)} pairs of {count} anchors, expected {2 * count - 3} or "
+            "more"
+        )
+    if guess is None:
+        if len(value) < count * (count - 1) // 2:
+            raise DataError(
+                "survey: pairs are missing; expected a guess of the places to start"
+            )
+        places = _scaled(value, rows, columns, count)
+    else:
+        places = np.asarray(guess, float)
+    places = framed(places)
+    weight = np.sqrt(copies) / std
+    fixed = [0, 1, 3]
+    free = [i for i in range(2 * count) if i not in fixed]
+    delays = np.zeros(count)
+    lifted = delay_std is not None
+    damping, left = 1e-3, np.zeros(0)
+    normal = np.eye(len(free))
+
+    def errors(points: np.ndarray, own: np.ndarray) -> np.ndarray:
+        far = np.linalg.norm(points[rows] - points[columns], axis=1)
+        found = (value - far - own[rows] - own[columns]) * weight
+        return np.concatenate([found, -own / delay_std]) if delay_std else found
+
+    for _ in range(STEPS):
+        left = errors(places, delays)
+        slope = _slopes(places, rows, columns, weight, delay_std)
+        slope = slope[:, free + ([2 * count + i for i in range(count)] if lifted else [])]
+        normal = slope.T @ slope
+        step = np.linalg.solve(
+            normal + damping * np.diag(np.diag(normal) + 1e-12), slope.T @ left
+        )
+        moved = places.copy().ravel()
+        moved[free] += step[: len(free)]
+        trial = moved.reshape(-1, 2), delays + (step[len(free) :] if lifted else 0.0)
+        later = errors(*trial)
+        if later @ later <= left @ left:
+            places, delays, damping = *trial, max(damping / 10, 1e-12)
+            if np.abs(step).max() < 1e-13:
+                break
+        else:
+            damping = min(damping * 10, 1e12)
+    spread = np.zeros(2 * count)
+    spread[free] = np.diag(np.linalg.pinv(normal))[: len(free)]
+    return Survey(
+        places,
+        delays,
+        float(np.sqrt(np.mean((errors(places, delays)[: len(value)] / weight) ** 2))),
+        np.sqrt(spread.reshape(-1, 2).sum(axis=1)),
+    )
+
+
+def framed(places: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+    """Moved, turned and if need be mirrored into the frame of the first three."""
+    moved = places - places[0]
+    angle = np.arctan2(moved[1, 1], moved[1, 0])
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = moved @ np.array([[cos, -sin], [sin, cos]])
+    return turned * np.array([1.0, -1.0 if turned[2, 1] < 0 else 1.0])
+
+
+def aligned(
+    places: Float[np.ndarray, "m 2"], truth: Float[np.ndarray, "m 2"]
+) -> Float[np.ndarray, "m 2"]:
+    """Moved and turned, not scaled, as near to ``truth`` as can be.
+
+    Source: S. Umeyama, "Least-squares estimation of transformation parameters between two point
+    patterns", IEEE Transactions on Pattern Analysis and Machine Intelligence 13(4), 1991.
+    """
+    centre, goal = places.mean(axis=0), truth.mean(axis=0)
+    left, _, right = np.linalg.svd((places - centre).T @ (truth - goal))
+    turn = left @ np.diag([1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return (places - centre) @ turn + goal
+
+
+def _scaled(
+    value: np.ndarray, rows: np.ndarray, columns: np.ndarray, count: int
+) -> Float[np.ndarray, "m 2"]:
+    squared = np.zeros((count, count))
+    squared[rows, columns] = squared[columns, rows] = value**2
+    centre = np.eye(count) - 1 / count
+    size, axes = np.linalg.eigh(-centre @ squared @ centre / 2)
+    return axes[:, -2:] * np.sqrt(np.maximum(size[-2:], 1e-12))
+
+
+def _slopes(
+    places: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    weight: np.ndarray,
+    delay_std: float | None,
+) -> np.ndarray:
+    """Derivatives of the expected values by all coordinates and delays."""
+    count, pairs = len(places), len(rows)
+    away = places[rows] - places[columns]
+    unit = away / np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None]
+    slope = np.zeros((pairs, 3 * count))
+    each = np.arange(pairs)
+    for axis in range(2):
+        slope[each, 2 * rows + axis] = unit[:, axis]
+        slope[each, 2 * columns + axis] = -unit[:, axis]
+    slope[each, 2 * count + rows] = slope[each, 2 * count + columns] = 1.0
+    slope = slope * weight[:, None]
+    if delay_std is None:
+        return slope
+    pull = np.hstack([np.zeros((count, 2 * count)), np.eye(count) / delay_std])
+    return np.vstack([slope, pull])

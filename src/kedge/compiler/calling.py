@@ -1,0 +1,138 @@
+"""Rules of programs within programs: calls, branches, and loops short enough to be unrolled."""
+
+import math
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from kedge.compiler.elementwise import each
+from kedge.compiler.graph import Node, Unsupported
+from kedge.compiler.interpret import Interpreter, rule, takes_any
+from kedge.compiler.values import Opaque, Value, filled
+
+MOST_ROUNDS = 64
+"""Of a loop that is unrolled."""
+
+
+@rule("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call",
+      "custom_vjp_call_jaxpr", "remat", "remat2", "checkpoint", "custom_vmap_call",
+      "custom_lin", "call")  # fmt: skip
+@takes_any
+def _call(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value]:
+    for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
+        inside = equation.params.get(name)
+        if hasattr(inside, "eqns") or hasattr(inside, "jaxpr"):
+            return _run(interpreter, inside, values)
+    return [Opaque(f"operation {equation.primitive.name!r}")] * len(equation.outvars)
+
+
+def _run(interpreter: Interpreter, program: Any, values: Any) -> list[Value]:
+    if isinstance(program, ClosedJaxpr) or hasattr(program, "consts"):
+        return interpreter.run(program.jaxpr, program.consts, values)
+    return interpreter.run(program, (), values)
+
+
+@rule("platform_index")
+@takes_any
+def _platform(interpreter: Interpreter, equation: Any, *_: Value) -> np.ndarray:
+    platforms = equation.params["platforms"]
+    for place, names in enumerate(platforms):
+        if names is None or "cpu" in names:
+            return filled([interpreter.functions.const(place, "i4")], ())
+    raise Unsupported("a branch by platform without one for the processor")
+
+
+@rule("cond")
+@takes_any
+def _cond(interpreter: Interpreter, equation: Any, which: Value, *values: Value) -> list[Value]:
+    f, branches = interpreter.functions, equation.params["branches"]
+    index = f.convert(interpreter.nodes(which).item(), "i8")
+    index = f.clamp(f.const(0, "i8"), index, f.const(len(branches) - 1, "i8"))
+    if index.is_const:
+        return _run(interpreter, branches[index.param[1]], values)
+    if index.varying:
+        return _every(interpreter, index, [_run(interpreter, b, values) for b in branches])
+
+    unknown: list[Opaque] = []
+
+    def case(branch: Any) -> list[Node | None]:
+        nodes: list[Node | None] = []
+        for value, atom in zip(
+            _run(interpreter, branch, values), equation.outvars, strict=True
+        ):
+            if isinstance(value, Opaque):
+                unknown.append(value)
+                nodes += [None] * math.prod(atom.aval.shape)
+            else:
+                nodes += list(interpreter.nodes(value).flat)
+        return nodes
+
+    merged = f.graph.branch(index, [lambda b=b: case(b) for b in branches])
+    out: list[Value] = []
+    begin = 0
+    for atom in equation.outvars:
+        size = math.prod(atom.aval.shape)
+        known = [node for node in merged[begin : begin + size] if node is not None]
+        begin += size
+        whole = len(known) == size
+        out.append(filled(known, atom.aval.shape) if whole else unknown[0])
+    return out
+
+
+def _every(interpreter: Interpreter, index: Node, cases: list[list[Value]]) -> list[Value]:
+    """All cases computed, since runs differ in which they need; each takes its own."""
+    f, out = interpreter.functions, []
+    for values in zip(*cases, strict=True):
+        if any(isinstance(v, Opaque) for v in values):
+            out.append(Opaque("a branch that is not known"))
+            continue
+        found = interpreter.nodes(values[-1])
+        for place in reversed(range(len(values) - 1)):
+            here = f.compare("eq", index, f.const(place, "i8"))
+            found = each(
+                lambda a, b, here=here: f.select(here, a, b),
+                interpreter.nodes(values[place]),
+                found,
+            )
+        out.append(found)
+    return out
+
+
+@rule("scan")
+@takes_any
+def _scan(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value]:
+    """A loop of few rounds, one after the other."""
+    params = equation.params
+    rounds, inside = params["length"], params["jaxpr"]
+    if rounds > MOST_ROUNDS:
+        return [Opaque(f"a loop of {rounds} rounds")] * len(equation.outvars)
+    fixed, carried = params["num_consts"], params["num_carry"]
+    consts, carry = list(values[:fixed]), list(values[fixed : fixed + carried])
+    inputs = values[fixed + carried :]
+    if any(isinstance(v, Opaque) for v in (*carry, *inputs)):
+        return [Opaque("a loop over what is not known")] * len(equation.outvars)
+    rows = [interpreter.nodes(v) for v in inputs]
+    outputs: list[list[Value]] = []
+    order = reversed(range(rounds)) if params["reverse"] else range(rounds)
+    for i in order:
+        found = _run(
+            interpreter, inside, [*consts, *carry, *(row[i] for row in map(_rows, rows))]
+        )
+        carry = found[:carried]
+        outputs.append(found[carried:])
+    if params["reverse"]:
+        outputs.reverse()
+    stacked = []
+    for column in zip(*outputs, strict=True):
+        if any(isinstance(v, Opaque) for v in column):
+            stacked.append(Opaque("a loop over what is not known"))
+            continue
+        parts = [interpreter.nodes(v) for v in column]
+        stacked.append(np.stack(parts))
+    return [*carry, *stacked]
+
+
+def _rows(array: np.ndarray) -> list[np.ndarray]:
+    return [filled(list(row.flat), row.shape) if isinstance(row, np.ndarray)
+            else filled([row], ()) for row in array]  # fmt: skip

@@ -1,0 +1,325 @@
+"""From a rig file and a log to what a filter runs on: rig, recording, truth, provenance."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int64
+
+from kedge.config.building import (
+    build_installation,
+    build_prior,
+    build_sensor,
+    build_vehicle,
+    check_noise,
+)
+from kedge.config.readings import (
+    find_columns,
+    find_table,
+    join,
+    keep_targets,
+    map_of,
+    read_controls,
+    read_readings,
+)
+from kedge.config.rigs import RigConfig, load_rig_config
+from kedge.config.standing import with_standing
+from kedge.core.contracts import AbstractVehicle
+from kedge.core.errors import DataError
+from kedge.core.manifolds import Chart, charts_of, columns_of, space_of
+from kedge.core.registry import unknown, vehicles
+from kedge.estimation.clipping import clipped, sentences
+from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
+from kedge.estimation.rig import Rig, check_step
+from kedge.formats.logs import RawLog, digest_inputs
+from kedge.formats.readers import read_log
+from kedge.formats.tables import Table, require_finite
+
+MOST_OUTPUTS = 5e6
+"""More estimates than this in one log is a wrong stamp rather than a long drive."""
+SILENCE = 2.0  # s without a control that a user should hear of
+
+
+class Source(NamedTuple):
+    """Where a sensor's readings come from, in the order of its readings."""
+
+    stamps: Int64[np.ndarray, " n"]
+    """ns, as stamped: later than the event by the sensor's latency."""
+    targets: list[str] | None
+    lines: Int[np.ndarray, " n"]
+    """Line of each reading in the source's file."""
+
+
+class Problem(NamedTuple):
+    """A rig and a log, put together."""
+
+    title: str
+    config: dict[str, Any]
+    """The resolved rig file."""
+    rig: Rig
+    recording: Recording
+    truth: Truth | None
+    filter: str
+    sources: dict[str, Source]
+    """By sensor."""
+    target_names: dict[str, tuple[str, ...]]
+    """By sensor over a map, the ids of its targets."""
+    notes: list[str]
+    """What was left out or changed on the way."""
+    inputs_digest: str
+
+
+def load_problem(
+    rig: str,
+    log: str,
+    truth: str = "auto",
+    until: float | None = None,
+    overrides: Mapping[str, str] | None = None,
+) -> Problem:
+    """Read a rig and a log and fit them together.
+
+    Estimation starts at the first control, without one at the first reading; later if the
+    prior needs a true pose that comes later. What is before is left out and counted.
+
+    Args:
+        rig: a shipped rig's name or a TOML file.
+        log: PATH or PATH#PART.
+        truth: "auto" for the log's own, "none", or a source to compare with. The prior's
+            ``from_truth`` takes it even if nothing is compared.
+        until: stop this many seconds after the start.
+        overrides: dotted key of the rig -> value as TOML.
+
+    Raises:
+        KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
+    """
+    config = load_rig_config(rig, overrides)
+    build_vehicle(config)  # what does not fit is said before a long file is read
+    raw = read_log(log, config.format, config.bag)
+    if config.standing is not None:
+        raw = with_standing(config.standing, raw, config.origin)
+    bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)
+    notes = list(raw.notes)
+    reference = _reference(raw, truth)
+    control_stamps, controls = read_controls(config, raw, bare, notes)
+    plain = {name: build_sensor(config, name, raw.maps) for name in config.sensors}
+    stamped, sources = {}, {}
+    for name, sensor in config.sensors.items():
+        table = keep_targets(config, raw, name, notes)
+        stamped[name] = read_readings(
+            config, raw, name, table, type(plain[name]).measures, notes
+        )
+        column = sensor.target or "target"
+        targets = table.texts[column] if sensor.map else None
+        sources[name] = Source(table.stamps, targets, table.lines)
+
+    events = [source.stamps for source in stamped.values()]
+    every = np.concatenate([control_stamps, *events])
+    if len(every) == 0:
+        raise DataError(f"{log}: empty log: found no control and no reading")
+    start = int(control_stamps[0]) if len(control_stamps) else int(every.min())
+    poses = None
+    if config.prior.from_truth:
+        poses = _pose_table(config, raw, reference)
+        _check_overlap(poses, start, int(every.max()))
+        if poses.stamps[0] > start:
+            start = int(poses.stamps[0])
+            notes.append(f"truth begins late; the estimate starts at {start} ns with it")
+    end = int(every.max())
+    if until is not None:
+        if not 0 < until < np.inf:
+            raise DataError(f"until: found {until:g} s, expected a time above 0")
+        end = min(end, start + round(until * SECOND))
+
+    _check_span(config, log, start, end, sources)
+    notes += _silences(control_stamps, end)
+
+    for name in stamped:
+        inside = (stamped[name].stamps >= start) & (stamped[name].stamps <= end)
+        early = int((stamped[name].stamps < start).sum())
+        if early:
+            notes.append(f"{name}: {early} readings before the start were left out")
+        stamped[name], sources[name] = _cut(stamped[name], sources[name], inside)
+
+    known = {}
+    if poses is not None:
+        charts = charts_of(type(vehicle.start()))
+        for field in config.prior.from_truth:
+            known[field] = _pose_at(poses, field, charts[field], start)
+    prior = build_prior(config, bare, vehicle, known)
+    installed = tuple(build_installation(config, name, plain[name]) for name in plain)
+    built = Rig(vehicle, installed, prior)
+    check_noise(config, built)
+    recording = assemble(
+        start, end, control_stamps, controls, list(stamped.values()), config.output.rate
+    )
+    longest = float(np.diff(recording.stamps, prepend=start).max()) / SECOND
+    rate = f"output.rate = {config.output.rate:g} Hz"
+    check_step(vehicle, longest, f"{config.origin}: the longest step between events ({rate})")
+    notes += sentences(clipped(recording, vehicle))
+    return Problem(
+        title=raw.title or config.title,
+        config=config.model_dump(mode="json", exclude_none=True),
+        rig=built,
+        recording=recording,
+        truth=None if reference is None else _truth(config, reference, bare, start, end),
+        filter=config.filter.name,
+        sources=sources,
+        target_names={
+            name: map_of(config, name, raw.maps).ids
+            for name, spec in config.sensors.items()
+            if spec.map is not None
+        },
+        notes=notes,
+        inputs_digest=digest_inputs(raw),
+    )
+
+
+def _placed(config: RigConfig, raw: RawLog) -> RigConfig:
+    """The rig, with what the log knows of its place if the vehicle asks for it."""
+    known = {field.name for field in dataclasses.fields(vehicles.get(config.vehicle.model))}
+    told = {name: value for name, value in raw.place.items() if name in known}
+    own = config.vehicle.model_copy(update={"parameters": told | config.vehicle.parameters})
+    placed = config.model_copy(update={"vehicle": own})
+    placed._origin = config.origin
+    return placed
+
+
+def _check_span(
+    config: RigConfig, log: str, start: int, end: int, sources: Mapping[str, Source]
+) -> None:
+    """Refuse a log without duration, and one that a wrong stamp makes endless.
+
+    Raises:
+        DataError: with the source and line of the last stamp.
+    """
+    if end <= start:
+        raise DataError(
+            f"{log}: all of it happens at one time, {start} ns; expected a duration"
+        )
+    count = (end - start) / SECOND * config.output.rate
+    if count > MOST_OUTPUTS:
+        late = [(int(s.stamps[-1]), name, s) for name, s in sources.items() if len(s.stamps)]
+        where = "the last stamp is of the control"
+        if late and max(late, key=lambda entry: entry[0])[0] >= end:
+            stamp, name, source = max(late, key=lambda entry: entry[0])
+            where = f"the last stamp, {stamp} ns, is of {name}, line {int(source.lines[-1])}"
+        raise DataError(
+            f"{log}: found {(end - start) / SECOND:.0f} s, which at output.rate = "
+            f"{config.output.rate:g} Hz are {count:.2g} estimates, expected at most "
+            f"{MOST_OUTPUTS:.0e}; {where}"
+        )
+
+
+def _silences(control_stamps: Int64[np.ndarray, " n"], end: int) -> list[str]:
+    """What to say of a control that stops: the last one is held, which may not be true."""
+    if len(control_stamps) == 0:
+        return []
+    gaps = np.diff(np.append(control_stamps, end)) / SECOND
+    long = int((gaps[:-1] > SILENCE).sum())
+    notes = [f"control: {long} gaps of more than {SILENCE:g} s; the last is held"] * bool(long)
+    if gaps[-1] > SILENCE:
+        notes.append(f"control: it ends {gaps[-1]:.1f} s before the log; the last is held")
+    return notes
+
+
+def _reference(raw: RawLog, truth: str) -> Table | None:
+    if truth == "none":
+        return None
+    if truth == "auto" or (raw.truth is not None and truth == raw.truth.name):
+        return raw.truth
+    return find_table(raw, truth, "--truth")
+
+
+def _pose_table(config: RigConfig, raw: RawLog, reference: Table | None) -> Table:
+    if config.prior.source is not None:
+        return find_table(raw, config.prior.source, f"{config.origin}: prior.source")
+    table = raw.truth if reference is None else reference
+    if table is None:
+        raise DataError(
+            f"{config.origin}: prior.from_truth needs a true pose, but the log has no truth"
+        )
+    return table
+
+
+def _truth(
+    config: RigConfig, table: Table, vehicle: AbstractVehicle, start: int, end: int
+) -> Truth:
+    """The true trajectory from ``start`` to ``end``, with a pose before and behind for between.
+
+    Raises:
+        DataError: it has no field of the state, or is of another time.
+    """
+    fields = {
+        field: _field(table, field, chart)
+        for field, chart in charts_of(type(vehicle.start())).items()
+        if all(name in table.columns for name in columns_of(field, chart))
+    }
+    if not fields:
+        wanted = ", ".join(space_of(type(vehicle.start())).column_units)
+        raise DataError(
+            f"{table.path}: truth: found columns {', '.join(table.columns)}, expected some of "
+            f"{wanted}"
+        )
+    _check_overlap(table, start, end)
+    low = max(int(np.searchsorted(table.stamps, start, side="right")) - 1, 0)
+    high = int(np.searchsorted(table.stamps, end, side="left")) + 1
+    time = (table.stamps[low:high] - start) / SECOND
+    cut = {name: values[low:high] for name, values in fields.items()}
+    return Truth(time, cut, config.truth.own_frame)
+
+
+def _check_overlap(table: Table, start: int, end: int) -> None:
+    first, last = int(table.stamps[0]), int(table.stamps[-1])
+    if last < start or first > end:
+        raise DataError(
+            f"{table.path}: truth does not overlap in time: it spans {_span(first, last)}, the "
+            f"controls and readings {_span(start, end)}"
+        )
+
+
+def _field(table: Table, field: str, chart: Chart) -> Float[np.ndarray, "n ..."]:
+    names = columns_of(field, chart)
+    unit = chart.unit if chart.shape == chart.tangent_shape else "1"
+    found = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
+    require_finite(table, names, "truth")
+    return join(found, names, (len(table.stamps), *chart.shape))
+
+
+def _span(first: int, last: int) -> str:
+    def seconds(stamp: int) -> str:
+        return f"{'-' if stamp < 0 else ''}{abs(stamp) // SECOND}.{abs(stamp) % SECOND:09d}"
+
+    return f"{seconds(first)} s to {seconds(last)} s"
+
+
+def _pose_at(table: Table, field: str, chart: Chart, stamp: int) -> np.ndarray:
+    """A true field at ``stamp``: between two poses by the chart, outside the nearest."""
+    if absent := [name for name in columns_of(field, chart) if name not in table.columns]:
+        what = unknown("column", absent[0], list(table.columns))
+        raise DataError(f"{table.path}: {what} (for prior.from_truth)")
+    values = _field(table, field, chart)
+    after = int(np.clip(np.searchsorted(table.stamps, stamp), 1, max(len(values) - 1, 1)))
+    if len(values) == 1:
+        return values[0]
+    low, high = table.stamps[after - 1], table.stamps[after]
+    share = float(np.clip((stamp - low) / (high - low), 0.0, 1.0))
+
+    @jax.jit  # one program to compile instead of ten
+    def between(before, behind, share):
+        return chart.boxplus(before, share * chart.boxminus(behind, before))
+
+    return np.asarray(between(values[after - 1], values[after], share))
+
+
+def _cut(
+    stamped: Stamped, source: Source, inside: Bool[np.ndarray, " n"]
+) -> tuple[Stamped, Source]:
+    rows = np.flatnonzero(inside)
+    readings = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[rows]), stamped.readings)
+    targets = None if source.targets is None else [source.targets[row] for row in rows]
+    return Stamped(stamped.stamps[rows], readings), Source(
+        source.stamps[rows], targets, source.lines[rows]
+    )

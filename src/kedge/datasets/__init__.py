@@ -1,0 +1,1 @@
+"""Readers of recorded data sets, one a file, and how the sets get onto this machine."""

@@ -1,0 +1,138 @@
+"""Recorded data sets: where they come from, and how they get onto this machine.
+
+Third-party recordings are never part of kedge. A data set is looked for below the folder
+that ``KEDGE_DATA`` names, then in the user's cache, where ``kedge datasets fetch`` puts it once
+every file is the one whose SHA-256 is known (``checksums/NAME.sha256``).
+"""
+
+import gzip
+import hashlib
+import os
+import zipfile
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+from platformdirs import user_cache_path
+
+from kedge.core.errors import DataError, UnknownName
+from kedge.core.registry import unknown
+
+
+class Dataset(NamedTuple):
+    """A public recording."""
+
+    title: str
+    folder: str
+    """Below ``KEDGE_DATA`` or the cache."""
+    url: str
+    """The original source: a zip archive that holds ``folder``'s last part."""
+    cite: str
+
+
+DATASETS = {
+    "mrclam": Dataset(
+        title="Five ground robots, wheel commands and camera, 15 min, Vicon truth (MRCLAM 7)",
+        folder="mrclam/MRCLAM_Dataset7",
+        url="ftp://asrl3.utias.utoronto.ca/MRCLAM/MRCLAM7.zip",
+        cite=(
+            "K. Leung, Y. Halpern, T. Barfoot, H. Liu, 'The UTIAS multi-robot cooperative "
+            "localization and mapping dataset', Int. J. Robotics Research 30(8), 2011"
+        ),
+    ),
+}
+
+
+def dataset(name: str) -> Dataset:
+    """Look a data set up.
+
+    Raises:
+        UnknownName: there is none of that name.
+    """
+    if name not in DATASETS:
+        raise UnknownName(unknown("data sets", name, sorted(DATASETS)))
+    return DATASETS[name]
+
+
+def checksums(name: str) -> dict[str, str]:
+    """SHA-256 of every file of a data set, by file name."""
+    text = (files("kedge.datasets") / "checksums" / f"{name}.sha256").read_text()
+    return {file: found for found, file in (line.split() for line in text.splitlines())}
+
+
+def locate(name: str) -> Path | None:
+    """The folder of a data set on this machine, or None."""
+    entry = dataset(name)
+    roots = [Path(os.environ["KEDGE_DATA"])] if os.environ.get("KEDGE_DATA") else []
+    roots.append(user_cache_path("kedge") / "datasets")
+    return next((root / entry.folder for root in roots if (root / entry.folder).is_dir()), None)
+
+
+def require_located(name: str) -> Path:
+    """The folder of a data set on this machine.
+
+    Raises:
+        DataError: it is not here; the message says how to get it.
+    """
+    if (found := locate(name)) is None:
+        raise DataError(
+            f"data set {name!r} is not on this machine: run 'kedge datasets fetch {name}', or "
+            f"let KEDGE_DATA name the folder above {dataset(name).folder}"
+        )
+    return found
+
+
+def fetch(name: str) -> Path:
+    """Download a data set from its original source, check every file, and keep it.
+
+    Raises:
+        DataError: it cannot be downloaded, or a file is not the one that is known.
+    """
+    entry = dataset(name)
+    if (found := locate(name)) is not None:
+        return found
+    try:
+        import pooch
+    except ImportError:
+        raise DataError("downloading needs pooch: pip install 'kedge[studio]'") from None
+    root = user_cache_path("kedge") / "datasets"
+    target = root / entry.folder
+    try:
+        archive = pooch.retrieve(entry.url, None, path=root, progressbar=False)
+    except Exception as error:
+        # Whatever the network library raises, to the user it is one thing: not reachable.
+        raise DataError(f"{entry.url}: cannot be downloaded: {error}") from error
+    draft = target.with_name(f".{target.name}.part")
+    draft.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(archive) as bundle:
+        members = {Path(member).name: member for member in bundle.namelist()}
+        for file, checksum in checksums(name).items():
+            if file not in members:
+                raise DataError(f"{entry.url}: {file} is missing from the archive")
+            data = bundle.read(members[file])
+            found_sum = hashlib.sha256(data).hexdigest()
+            if found_sum != checksum:
+                raise DataError(
+                    f"{entry.url}: {file} has SHA-256 {found_sum}, expected {checksum}"
+                )
+            (draft / file).write_bytes(data)
+    draft.rename(target)
+    return target
+
+
+def verify(name: str, folder: Path) -> None:
+    """Check a copy of a data set, plain or gzipped.
+
+    Raises:
+        DataError: a file is missing or is not the one that is known.
+    """
+    for file, checksum in checksums(name).items():
+        plain, packed = folder / file, folder / f"{file}.gz"
+        if plain.is_file():
+            data = plain.read_bytes()
+        elif packed.is_file():
+            data = gzip.decompress(packed.read_bytes())
+        else:
+            raise DataError(f"{folder}: {file} is missing")
+        if (found := hashlib.sha256(data).hexdigest()) != checksum:
+            raise DataError(f"{folder / file}: SHA-256 is {found}, expected {checksum}")

@@ -1,0 +1,1 @@
+"""Filters whose belief is one Gaussian."""

@@ -1,0 +1,1 @@
+"""Forms that stand in published papers, kept to repeat their figures."""

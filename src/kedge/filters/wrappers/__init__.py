@@ -1,0 +1,1 @@
+"""Filters around other filters: gates, robust losses, adaptive noise, several models."""

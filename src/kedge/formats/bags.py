@@ -1,0 +1,197 @@
+"""ROS 1 and ROS 2 bags and MCAP files as logs, by what the rig file says of their topics.
+
+format = "bag"
+
+[bag.topics.radio]
+topic = "/uwb"
+each = "ranges"                # one row for each element of this list
+target = "id"
+columns = { range = { field = "distance", unit = "m" } }
+"""
+
+import re
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from kedge.core.errors import ConfigError, DataError
+from kedge.formats.bag_config import BagConfig, TopicConfig
+from kedge.formats.bag_messages import Bag, Message, open_bag
+from kedge.formats.logs import RawLog, TargetMap
+from kedge.formats.tables import Table, in_order, table_of
+from kedge.formats.units import TIME_UNITS, UNITS
+
+STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+class Rows:
+    """What is gathered of one topic."""
+
+    def __init__(self, spec: TopicConfig):
+        self.spec = spec
+        self.stamps: list[int] = []
+        self.lines: list[int] = []
+        self.targets: list[str] = []
+        self.values: dict[str, list[float]] = {name: [] for name in spec.columns}
+        self.count = 0
+
+    def add(self, path: Path, message: Message, timed: bool) -> None:
+        """The rows of one message.
+
+        Raises:
+            DataError: it cannot be decoded, or has no such field.
+        """
+        self.count += 1
+        place = f"{path}: topic {message.topic!r} ({message.type}), message {self.count}"
+        try:
+            content = message.decode()
+        except Exception as error:
+            # Whatever a decoder raises, to the user it is one thing: the type is not known.
+            raise DataError(
+                f"{place}: cannot be decoded with the definition in the bag: "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        spec, stamp = self.spec, 0
+        if timed:
+            stamp = message.time if spec.stamp == "bag" else _stamp(content, spec, place)
+        elements = [content] if spec.each is None else _find(content, spec.each, place)
+        for element in elements:
+            self.stamps.append(stamp + round(spec.offset * 1e9))
+            self.lines.append(self.count)
+            if spec.target is not None:
+                self.targets.append(str(_find(element, spec.target, place)))
+            for name, column in spec.columns.items():
+                self.values[name].append(_number(element, column.field, place))
+
+    def columns(self) -> dict[str, tuple[Float[np.ndarray, " n"], str]]:
+        """Values and units by column."""
+        units = {name: column.unit for name, column in self.spec.columns.items()}
+        return {name: (np.array(v, float), units[name]) for name, v in self.values.items()}
+
+
+def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
+    """Read the topics that a rig names.
+
+    Raises:
+        ConfigError: the rig names none.
+        DataError: the bag cannot be read, has no such topic, or a message has no such field;
+            the message lists what there is.
+    """
+    if config is None:
+        raise ConfigError(
+            "bag: this table is missing; a rig for bags says which topic is what: "
+            "[bag.topics.NAME] with topic and columns"
+        )
+    if part is not None:
+        raise DataError(f"{path}: found part {part!r}, but a bag is one log")
+    wanted = config.topics | {f"map {name}": spec for name, spec in config.maps.items()}
+    with open_bag(path) as bag:
+        _check_topics(path, bag, wanted)
+        gathered = {name: Rows(spec) for name, spec in wanted.items()}
+        by_topic: dict[str, list[str]] = {}
+        for name, spec in wanted.items():
+            by_topic.setdefault(spec.topic, []).append(name)
+        for message in bag.messages(set(by_topic)):
+            for name in by_topic[message.topic]:
+                mapped = name not in config.topics
+                if not mapped or not gathered[name].count:
+                    gathered[name].add(path, message, not mapped)
+    notes: list[str] = []
+    tables = {name: _table(path, name, gathered[name], notes) for name in config.topics}
+    truth = tables.pop(config.truth) if config.truth is not None else None
+    maps = {name: _map(gathered[f"map {name}"]) for name in config.maps}
+    files = (
+        (path,) if path.is_file() else tuple(sorted(p for p in path.iterdir() if p.is_file()))
+    )
+    return RawLog(path.stem, tables, truth, maps, files, tuple(notes), "Unix")
+
+
+def _check_topics(path: Path, bag: Bag, wanted: dict[str, TopicConfig]) -> None:
+    for name, spec in wanted.items():
+        if spec.topic not in bag.topics:
+            known = ", ".join(f"{t} ({kind})" for t, kind in sorted(bag.topics.items()))
+            raise DataError(
+                f"{path}: no topic {spec.topic!r} (for {name}); there are {known or 'none'}"
+            )
+
+
+def _table(path: Path, name: str, rows: Rows, notes: list[str]) -> Table:
+    if not rows.stamps:
+        raise DataError(f"{path}: topic {rows.spec.topic!r}: found no rows, expected some")
+    texts = {"target": rows.targets} if rows.spec.target is not None else {}
+    table = table_of(
+        name, path, np.array(rows.stamps), rows.columns(), texts, np.array(rows.lines)
+    )
+    return in_order(table, notes)
+
+
+def _map(rows: Rows) -> TargetMap:
+    """Targets from the first message of a topic."""
+    columns = {name: values * UNITS[unit][1] for name, (values, unit) in rows.columns().items()}
+    units = {name: UNITS[column.unit][0] for name, column in rows.spec.columns.items()}
+    return TargetMap(tuple(rows.targets), columns, units)
+
+
+def _find(content: Any, way: str, place: str) -> Any:
+    """Follow a way of names and [indices] into a message."""
+    found = content
+    for name, index in STEP.findall(way):
+        try:
+            if index:
+                found = found[int(index)]
+            else:
+                found = found[name] if isinstance(found, dict) else getattr(found, name)
+        except (AttributeError, KeyError, IndexError, TypeError):
+            step = f"[{index}]" if index else repr(name)
+            raise DataError(
+                f"{place}: no {step} on the way {way!r}; there are "
+                f"{', '.join(_names(found)) or 'no fields'}"
+            ) from None
+    return found
+
+
+def _names(content: Any) -> list[str]:
+    if isinstance(content, dict):
+        return sorted(map(str, content))
+    if hasattr(content, "DESCRIPTOR"):
+        return [field.name for field in content.DESCRIPTOR.fields]
+    if isinstance(content, list | tuple | np.ndarray):
+        return [f"[0] to [{len(content) - 1}]"]
+    fields = getattr(content, "__dataclass_fields__", {})
+    return [name for name in fields if not name.startswith("__")]
+
+
+def _number(content: Any, way: str, place: str) -> float:
+    found = _find(content, way, place)
+    try:
+        return float(found)
+    except (TypeError, ValueError):
+        kind = type(found).__name__
+        raise DataError(f"{place}: {way!r}: found a {kind}, expected a number") from None
+
+
+def _stamp(content: Any, spec: TopicConfig, place: str) -> int:
+    """A stamp in ns: of ROS, of Protobuf, of Foxglove's JSON, or a plain number."""
+    found = _find(content, spec.stamp, place)
+    if isinstance(found, int | float | str | np.number):
+        try:
+            return round(Decimal(str(found)).scaleb(TIME_UNITS[spec.stamp_unit]))
+        except ArithmeticError:
+            raise DataError(
+                f"{place}: {spec.stamp!r}: found {found!r}, expected a time"
+            ) from None
+    for whole, rest in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos")):
+        parts = [_or_none(found, name) for name in (whole, rest)]
+        if None not in parts:
+            return int(parts[0]) * 10**9 + int(parts[1])
+    raise DataError(
+        f"{place}: {spec.stamp!r}: found {', '.join(_names(found))}, expected a time; "
+        'stamp = "bag" takes the time of recording'
+    )
+
+
+def _or_none(content: Any, name: str) -> Any:
+    return content.get(name) if isinstance(content, dict) else getattr(content, name, None)

@@ -1,0 +1,283 @@
+"""Log folders: one CSV file a source, and a ``log.toml`` that declares them.
+
+What the declaration says of a source: the file, the columns of time, target and measurements
+with their units, and the frame: ``enu`` or ``ned``, see :mod:`kedge.formats.units`.
+"""
+
+import csv
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import model_validator
+
+from kedge.core.errors import DataError
+from kedge.core.registry import unknown
+from kedge.formats.atomic import fresh_folder
+from kedge.formats.tables import (
+    NotFinite,
+    Table,
+    build_table,
+    check_order,
+    read_cells,
+    require_finite,
+)
+from kedge.formats.toml import Strict, read_toml
+from kedge.formats.units import TIME_UNITS, UNITS, all_to_enu
+
+Frame = Literal["enu", "ned"]
+
+
+class TargetMap(NamedTuple):
+    """Targets that readings name: landmarks, beacons, anchors."""
+
+    ids: tuple[str, ...]
+    columns: dict[str, np.ndarray]
+    """In SI units and ENU, by component: ``position_x``."""
+    units: dict[str, str] = {}
+    """SI unit of each column."""
+
+
+class RawLog(NamedTuple):
+    """A log as it was recorded, in SI units and ENU."""
+
+    title: str
+    tables: dict[str, Table]
+    truth: Table | None = None
+    """Its columns are called like the components of the state."""
+    maps: dict[str, TargetMap] = {}
+    files: tuple[Path, ...] = ()
+    """What was read."""
+    notes: tuple[str, ...] = ()
+    """What the reader changed, for the user to see."""
+    epoch: str = ""
+    """What stamp 0 means."""
+    place: dict[str, float] = {}
+    """Where it was taken: ``latitude`` (rad) and ``height`` (m) of the map's origin, for
+    vehicles that ask for them."""
+
+
+class ColumnConfig(Strict):
+    """A column's unit in the file and, if it differs, its name inside."""
+
+    unit: str
+    name: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_unit(cls, value: Any) -> Any:
+        return {"unit": value} if isinstance(value, str) else value
+
+    def complaints(self) -> Iterator[str]:
+        """An unknown unit."""
+        if self.unit not in UNITS:
+            yield f"unit: {unknown('unit', self.unit, list(UNITS))}"
+
+
+class SourceConfig(Strict):
+    """One CSV file."""
+
+    file: str | None = None
+    time: str = "time"
+    time_unit: str = "s"
+    columns: dict[str, ColumnConfig] = {}
+    target: str | None = None
+    frame: Frame | None = None
+    not_finite: NotFinite = "error"
+
+    def complaints(self) -> Iterator[str]:
+        """An unknown unit of time, or two columns that get one name."""
+        if self.time_unit not in TIME_UNITS:
+            yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_UNITS))}"
+        yield from _twice(self.columns)
+
+
+class MapSource(Strict):
+    """A map: inline (``ids`` and ``values``), or a CSV file."""
+
+    file: str | None = None
+    id: str = "id"
+    ids: list[str] | None = None
+    values: dict[str, list[float]] = {}
+    columns: dict[str, ColumnConfig]
+    frame: Frame | None = None
+
+    def complaints(self) -> Iterator[str]:
+        """Neither or both kinds, values of another length."""
+        yield from _twice(self.columns)
+        if (self.ids is None) == (self.file is None):
+            yield "ids: expected either ids with values, or a file"
+        for name in self.columns if self.ids is not None else ():
+            if len(self.values.get(name, ())) != len(self.ids or ()):
+                found = len(self.values.get(name, ()))
+                yield f"values.{name}: found {found} numbers, expected {len(self.ids or ())}"
+
+
+class LogConfig(Strict):
+    """``log.toml``."""
+
+    title: str = ""
+    epoch: str = ""
+    frame: Frame = "enu"
+    truth: str | None = None
+    sources: dict[str, SourceConfig]
+    maps: dict[str, MapSource] = {}
+
+    def complaints(self) -> Iterator[str]:
+        """A truth that is no source."""
+        if self.truth is not None and self.truth not in self.sources:
+            yield f"truth: {unknown('source', self.truth, list(self.sources))}"
+
+
+def _twice(columns: Mapping[str, ColumnConfig]) -> Iterator[str]:
+    names = [spec.name or column for column, spec in columns.items()]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield f"columns: two columns get the name {name!r}"
+
+
+def read_folder(folder: Path, part: str | None = None) -> RawLog:
+    """Read a log folder.
+
+    Raises:
+        DataError: with file, line and key or column; a mistaken ``log.toml`` gives one line for
+            each mistake.
+    """
+    if part is not None:
+        raise DataError(
+            f"{folder}: found part {part!r}, expected none: a log folder has no parts"
+        )
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder, expected a log folder with a log.toml")
+    config = read_toml(folder / "log.toml", LogConfig, error=DataError)
+    if not config.sources:
+        raise DataError(f"{folder / 'log.toml'}: sources: empty log: there are none")
+    tables, maps, files = {}, {}, [folder / "log.toml"]
+    for name, source in config.sources.items():
+        tables[name] = _read_source(folder, name, source, source.frame or config.frame)
+        files.append(tables[name].path)
+    for name, spec in config.maps.items():
+        path = _file(folder, spec.file) if spec.file else files[0]
+        maps[name] = _read_map(path, spec, spec.frame or config.frame)
+        files.append(path)
+    truth = tables.pop(config.truth) if config.truth else None
+    if truth is not None:
+        require_finite(truth, truth.columns, "truth")
+    return RawLog(
+        config.title, tables, truth, maps, tuple(dict.fromkeys(files)), (), config.epoch
+    )
+
+
+def write_log(folder: Path, raw: RawLog) -> None:
+    """Write a log folder that reads back bit for bit: whole, or not at all.
+
+    Raises:
+        DataError: the folder is not empty, cannot be written, or a name is no file name.
+    """
+    tables = {**raw.tables, **({raw.truth.name: raw.truth} if raw.truth else {})}
+    if len(tables) == len(raw.tables) and raw.truth:
+        raise DataError(f"{folder}: truth and a source are both called {raw.truth.name!r}")
+    lines = [f"title = {_quoted(raw.title)}", f"epoch = {_quoted(raw.epoch)}"]
+    lines += [f"truth = {_quoted(raw.truth.name)}"] if raw.truth else []
+    with fresh_folder(folder) as draft:
+        for name, table in tables.items():
+            file = _file_name(folder, name)
+            body = [f"file = {_quoted(file)}", 'time = "time"', 'time_unit = "ns"']
+            body += [f"target = {_quoted(text)}" for text in table.texts]
+            infinite = any(np.isinf(values).any() for values in table.columns.values())
+            body += ['not_finite = "reject"'] if infinite else []
+            body.append(f"columns = {_units(table.columns, table.units)}")
+            lines += ["", f"[sources.{_quoted(name)}]", *body]
+            stamps = {"time": map(str, table.stamps.tolist())}
+            _write_csv(draft / file, stamps | table.texts, table.columns)
+        for name, targets in raw.maps.items():
+            file = _file_name(folder, f"map_{name}")
+            lines += ["", f"[maps.{_quoted(name)}]", f"file = {_quoted(file)}", 'id = "id"']
+            lines.append(f"columns = {_units(targets.columns, targets.units)}")
+            _write_csv(draft / file, {"id": targets.ids}, targets.columns)
+        (draft / "log.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def digest_inputs(raw: RawLog) -> str:
+    """SHA-256 over name, length and bytes of every file read, in the order of their names."""
+    digest = hashlib.sha256()
+    for path in sorted(raw.files, key=lambda path: (path.name, path)):
+        data = path.read_bytes()
+        digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
+    return digest.hexdigest()
+
+
+def _read_source(folder: Path, name: str, source: SourceConfig, frame: Frame) -> Table:
+    specs = {
+        column: (spec.name or column, spec.unit) for column, spec in source.columns.items()
+    }
+    cells = read_cells(_file(folder, source.file or f"{name}.csv"))
+    table = build_table(
+        cells, name, source.time, source.time_unit, specs, source.target, source.not_finite
+    )
+    check_order(table, source.time)
+    if frame == "ned":
+        columns, units = all_to_enu(table.path, table.columns, table.units)
+        table = table._replace(columns=columns, units=units)
+    return table
+
+
+def _read_map(path: Path, spec: MapSource, frame: Frame) -> TargetMap:
+    columns, units = {}, {}
+    cells = read_cells(path) if spec.file else None
+    ids = cells.text(spec.id) if cells else list(spec.ids or ())
+    for column, (name, unit) in ((c, (s.name or c, s.unit)) for c, s in spec.columns.items()):
+        factor = UNITS[unit][1]
+        columns[name] = (
+            cells.numbers(column, unit) if cells else np.array(spec.values[column]) * factor
+        )
+        units[name] = UNITS[unit][0]
+        if not np.isfinite(columns[name]).all():
+            where = f"target {ids[int(np.argmin(np.isfinite(columns[name])))]!r}"
+            raise DataError(f"{path}: column {column!r}: {where}: expected a finite number")
+    if twice := sorted({name for name in ids if ids.count(name) > 1}):
+        raise DataError(f"{path}: found target {twice[0]!r} twice, expected each once")
+    if frame == "ned":
+        columns, units = all_to_enu(path, columns, units)
+    return TargetMap(tuple(ids), columns, units)
+
+
+def _file(folder: Path, name: str) -> Path:
+    """The file, or its packed twin."""
+    packed = folder / f"{name}.gz"
+    return packed if packed.is_file() and not (folder / name).exists() else folder / name
+
+
+def _write_csv(
+    path: Path, texts: Mapping[str, Iterable[str]], columns: Mapping[str, np.ndarray]
+) -> None:
+    # repr is the shortest text that reads back as the same float.
+    numbers = (
+        ["" if value != value else repr(value) for value in values.tolist()]
+        for values in columns.values()
+    )
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*texts, *columns])
+        writer.writerows(zip(*texts.values(), *numbers, strict=True))
+
+
+def _units(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> str:
+    pairs = (f"{_quoted(name)} = {_quoted(units.get(name, '1'))}" for name in columns)
+    return "{ " + ", ".join(pairs) + " }"
+
+
+def _quoted(text: str) -> str:
+    # JSON's escapes are TOML's; its surrogate pairs are not, so other scripts stay as they are.
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _file_name(folder: Path, name: str) -> str:
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise DataError(
+            f"{folder}: found source {name!r}, expected a name of letters and digits"
+        )
+    return f"{name}.csv"

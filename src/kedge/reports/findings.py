@@ -1,0 +1,185 @@
+"""What a report says in words: the headline, the facts below it, and its warnings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kedge.core.manifolds import space_of
+from kedge.core.verdicts import Verdict
+from kedge.estimation.log import Recording
+from kedge.estimation.rig import Rig
+from kedge.evaluation.by_target import targets_off
+from kedge.evaluation.health import concerns
+from kedge.evaluation.score import Run
+from kedge.reports import style
+from kedge.reports.drawing import without_fused
+from kedge.reports.figures import main_field, rivals
+
+# Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
+HONEST, CAUTIOUS = 0.85, 0.99
+NAMED = 5  # targets that are off; more are in the table
+
+
+def principal(runs: Sequence[Run]) -> Run:
+    """The run that the report is about: the first that is neither baseline nor smoother."""
+    filters = [run for run in runs if not style.is_baseline(run.name)]
+    online = [run for run in filters if not style.is_smoother(run.name)]
+    return [*online, *filters, *runs][0]
+
+
+def baseline(runs: Sequence[Run]) -> Run | None:
+    """The run that the others have to beat, if there is one."""
+    return next((run for run in runs if style.is_baseline(run.name)), None)
+
+
+def headline(runs: Sequence[Run], recording: Recording) -> str:
+    """The result in one sentence."""
+    run, seconds = principal(runs), _seconds(recording)
+    if run.errors is None:
+        known = f"{_spread(run)}, {_shares(run)} over {seconds}\u00a0s"
+        return f"{run.name}: {known}; no truth to judge by."
+    field, cut = main_field(run.errors)
+    factor, unit = style.shown(run.errors.units[cut.start])
+
+    def rms(other: Run) -> str:
+        ends = [factor * end for end in other.scores["rmse_ci"][field]]
+        return f"{style.measured(factor * other.scores['rmse'][field], ends)[0]}\u00a0{unit}"
+
+    parts = [
+        f"{run.name}: {rms(run)} rms {style.words(field)} error over {seconds}\u00a0s",
+        f"{style.percent(inside(run))} of the errors inside the 95\u00a0% bound",
+    ]
+    later = [other for other in runs if style.is_smoother(other.name) and other is not run]
+    parts += [f"{other.name} {rms(other)}" for other in later[:1] if other.errors]
+    other = baseline(runs)
+    if other is not None and other is not run and other.errors is not None:
+        parts.append(f"{style.words(other.name.replace('-', ' '))} {rms(other)}")
+    return "; ".join(parts) + "."
+
+
+def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
+    """The strip below the headline: name and value."""
+    run = principal(runs)
+    readings, fused = _readings(run)
+    found = [("duration", f"{_seconds(recording)} s")]
+    if (distance := driven(run)) is not None:
+        found.append(("distance driven", f"{style.number(distance)} m"))
+    found.append(("readings", style.count(readings)))
+    if readings:
+        found.append(("fused", style.percent(fused / readings)))
+        gaps = [end - start for start, end in without_fused(run)]
+        if gaps:
+            found.append(("longest without a reading", f"{style.number(max(gaps), 2)} s"))
+    if (spent := cost(run, recording)) is not None:
+        found.append(("time per event", f"{style.number(spent, 2)} µs"))
+    return found
+
+
+def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
+    """What a reader should know before trusting the numbers."""
+    found = []
+    judged = [run for run in rivals(runs) if run.errors is not None]
+    for word, wrong in (
+        ("Over-confident", lambda share: share < HONEST),
+        ("Over-cautious", lambda share: share > CAUTIOUS),
+    ):
+        names = [f"{r.name} ({style.percent(inside(r))})" for r in judged if wrong(inside(r))]
+        if names:
+            found.append(
+                f"{word}, by the share of errors in the 95\u00a0% bound: {', '.join(names)}."
+            )
+    if judged:
+        missing = 1 - judged[0].scores["samples"] / len(judged[0].track.time)
+        if missing > 0.01:
+            found.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
+    for run in rivals(runs):
+        verdicts = np.asarray(run.estimates.outcome.verdict)
+        found += concerns(run.name, run.scores["health"], verdicts)
+    run = principal(runs)
+    for off in targets_off(run.scores, units_of(rig))[:NAMED]:
+        factor, symbol = style.shown(off.unit)
+        found.append(
+            f"{off.sensor}: {off.target} is off by {style.number(factor * off.median, 2)} "
+            f"{symbol} in {style.words(off.component)} (median of its residuals, "
+            f"{style.number(off.standardised, 2)} of what it may scatter by)."
+        )
+    for installation in rig.sensors:
+        entry = run.scores["sensors"].get(installation.name, {})
+        counts, judged = entry.get("verdicts", {}), entry.get("readings", 0)
+        alarms, gate = counts.get(Verdict.GATED.name, 0), installation.gate
+        if gate is not None and judged and alarms / judged > max(5 * gate, 0.02):
+            found.append(
+                f"The gate of {installation.name} refused {style.percent(alarms / judged)} of "
+                f"the readings, {style.percent(gate)} is what it is set to."
+            )
+        for verdict in (Verdict.UNKNOWN_TARGET, Verdict.NOT_FINITE, Verdict.BAD_COVARIANCE):
+            if number := counts.get(verdict.name, 0):
+                found.append(
+                    f"{installation.name}: {style.count(number)} of {style.count(judged)} "
+                    f"readings were not used ({style.words(verdict.name.lower())})."
+                )
+    return found
+
+
+def units_of(rig: Rig) -> dict[str, dict[str, str]]:
+    """By sensor over a map, the unit of each component of its measurement."""
+    found = {}
+    for installation in rig.sensors:
+        if installation.targets is not None:
+            measured = space_of(installation.sensor.measures)
+            found[installation.name] = dict(zip(measured.labels, measured.units, strict=True))
+    return found
+
+
+def duration(recording: Recording) -> float:
+    """From the log's start to its last event, in s."""
+    return float(np.asarray(recording.log.schedule.time)[-1])
+
+
+def driven(run: Run) -> float | None:
+    """Length of the true path, else of the estimated one; none without a position."""
+    if "distance" in run.scores:
+        return run.scores["distance"]
+    if not hasattr(run.track.mean, "position"):
+        return None
+    steps = np.diff(np.asarray(run.track.mean.position), axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
+
+
+def inside(run: Run) -> float:
+    """Share of the errors of the main field in their 95 % bound."""
+    return run.scores["coverage_95"][main_field(run.errors)[0]] if run.errors else np.nan
+
+
+def cost(run: Run, recording: Recording) -> float | None:
+    """Time per event in microseconds, if the run was timed."""
+    seconds = run.scores.get("seconds")
+    return None if seconds is None else 1e6 * seconds / len(recording.stamps)
+
+
+def _seconds(recording: Recording) -> str:
+    whole = duration(recording)
+    return style.count(round(whole)) if whole >= 20 else style.number(whole)
+
+
+def _readings(run: Run) -> tuple[int, int]:
+    entries = run.scores["sensors"].values()
+    fused = (entry["verdicts"].get(Verdict.FUSED.name, 0) for entry in entries)
+    return sum(entry["readings"] for entry in entries), sum(fused)
+
+
+def _shares(run: Run) -> str:
+    readings, fused = _readings(run)
+    share = style.percent(fused / readings) if readings else ""
+    return f"{share} of {style.count(readings)} readings fused" if readings else "no readings"
+
+
+def _spread(run: Run) -> str:
+    """How well the run believes to know its main field, in the middle of the log."""
+    states = space_of(type(run.track.mean))
+    name = "position" if "position" in states.slices() else next(iter(states.slices()))
+    cut = states.slices()[name]
+    factor, unit = style.shown(states.units[cut.start])
+    std = np.sqrt(np.trace(run.track.cov[:, cut, cut], axis1=1, axis2=2))
+    middle = style.number(factor * float(np.median(std)), 2)
+    return f"{style.words(name)} known to {middle}\u00a0{unit} (median standard deviation)"

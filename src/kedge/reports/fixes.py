@@ -1,0 +1,119 @@
+"""Fixes against truth, and what they look like."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from kedge.positioning.fix import Fix, Status
+from kedge.reports import style
+from kedge.reports.drawing import legend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+else:
+    Axes = Any
+
+
+def score_fixes(
+    fixes: Fix, truth: Float[np.ndarray, "n d"] | None, known: Bool[np.ndarray, " n"] | None
+) -> dict[str, Any]:
+    """How many of each status there are and, where truth is known, how large the errors are.
+
+    ``nees`` is the mean squared error in units of the fix's own covariance: its number of
+    dimensions, ``nees_dof``, if that is right.
+    """
+    status = np.asarray(fixes.status)
+    there = status <= Status.AMBIGUOUS
+    found: dict[str, Any] = {
+        "epochs": len(status),
+        "fixes": int(there.sum()),
+        **{name.name.lower(): int((status == name).sum()) for name in Status},
+        "redundancy": float(np.asarray(fixes.redundancy)[there].mean()) if there.any() else 0.0,
+        "pdop": _median(np.asarray(fixes.pdop)[there]),
+        "crlb": _median(np.asarray(fixes.crlb)[there]),
+    }
+    if truth is None or known is None or not (judged := there & known).any():
+        return found
+    error = np.asarray(fixes.position)[judged] - truth[judged]
+    far = np.linalg.norm(error, axis=1)
+    white = np.linalg.solve(np.asarray(fixes.cov)[judged], error[..., None])[..., 0]
+    return found | {
+        "rmse": {"position": float(np.sqrt(np.mean(far**2)))},
+        "median": float(np.median(far)),
+        "p95": float(np.quantile(far, 0.95)),
+        "bias": np.mean(error, axis=0).tolist(),
+        "nees": float(np.mean(np.sum(error * white, axis=1))),
+        "nees_dof": error.shape[1],
+    }
+
+
+def residual_rows(fixes: Fix, names: tuple[str, ...]) -> list[list[str]]:
+    """By anchor: how often it was used, and the median and spread of its residuals."""
+    left, rows = np.asarray(fixes.residual), []
+    for number, name in enumerate(names):
+        own = left[:, number][np.isfinite(left[:, number])]
+        if len(own) == 0:
+            rows.append([name, "0", "-", "-"])
+            continue
+        low, middle, high = np.quantile(own, [0.16, 0.5, 0.84])
+        rows.append([name, style.count(len(own)), f"{middle:.3f}", f"{(high - low) / 2:.3f}"])
+    return rows
+
+
+@style.styled
+def plot_fixes(
+    fixes: Mapping[str, Fix],
+    anchors: Float[np.ndarray, "m d"],
+    names: tuple[str, ...],
+    truth: Float[np.ndarray, "n d"] | None,
+) -> Any:
+    """Draw all fixes in plan, with the anchors and the true path."""
+    looks = style.looks(list(fixes))
+    reach = np.ptp(anchors[:, :2], axis=0).max()
+    low, high = anchors[:, :2].min(axis=0) - 0.15 * reach, anchors[:, :2].max(axis=0)
+    high = high + 0.15 * reach
+    if truth is not None:
+        low = np.minimum(low, np.nanmin(truth[:, :2], axis=0) - 0.1 * reach)
+        high = np.maximum(high, np.nanmax(truth[:, :2], axis=0) + 0.1 * reach)
+    ratio = float((high - low)[1] / (high - low)[0])
+    ax = style.given(None, min(max(7.4 * ratio + 0.9, 3.4), 8.4))
+    for name, fix in fixes.items():
+        place = np.asarray(fix.position)
+        ax.plot(*place[:, :2].T, ".", ms=2.0, alpha=0.5, color=looks[name].color)
+        ax.lines[-1].set_label(name)
+    if truth is not None:
+        ax.plot(*truth[:, :2].T, color=style.color("truth"), lw=2.6, alpha=0.5, label="truth")
+        ax.plot(*truth[:1, :2].T, "x", color=style.color("truth"), ms=7)
+    ax.plot(*anchors[:, :2].T, "^", color=style.color("target"), ms=6, label="anchors")
+    for name, place in zip(names, anchors, strict=True):
+        ax.annotate(name, (place[0], place[1]), xytext=(5, 4), textcoords="offset points")
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    ax.set(xlabel="east, x (m)", ylabel="north, y (m)")
+    return legend(ax, 4).figure
+
+
+@style.styled
+def plot_residuals(time: Float[np.ndarray, " n"], fixes: Fix, names: tuple[str, ...]) -> Any:
+    """Draw the residuals of one solver over time, anchor by anchor."""
+    left, count = np.asarray(fixes.residual), len(names)
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    axes = style.subplots(rows, columns, 0.6 + 1.3 * rows, sharex=True, sharey=True)
+    for ax, name, values in zip(axes.ravel(), names, left.T, strict=False):
+        ax.plot(time, values, ".", ms=1.5, color=style.color("filter-1"))
+        ax.axhline(0, color=style.color("muted"), lw=0.6)
+        ax.set_title(f"anchor {name}")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("residual (m)")
+    for ax in axes[-1]:
+        ax.set_xlabel("time since the start of the log (s)")
+    for ax in axes.ravel()[count:]:
+        ax.remove()
+    return axes[0, 0].figure
+
+
+def _median(values: np.ndarray) -> float:
+    kept = values[np.isfinite(values)]
+    return float(np.median(kept)) if len(kept) else float("nan")

@@ -1,0 +1,1 @@
+"""Worlds: what is simulated, one a file."""

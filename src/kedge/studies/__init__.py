@@ -1,0 +1,1 @@
+"""Monte Carlo studies: many filters over the same simulated runs, scored."""

@@ -1,0 +1,207 @@
+"""Who computes a study's chunks: this process, several of them, or the workers of a cluster.
+
+Each engine gives back chunks as they come, as named arrays; which engine it was, and in which
+order they came, changes no number.
+"""
+
+import functools
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kedge.config.plugins import load_modules
+from kedge.config.scenarios import ScenarioConfig, Setting, build_setting
+from kedge.core.errors import ConfigError, KedgeError
+from kedge.estimation.compilation_cache import use_compilation_cache
+from kedge.studies.scores import pack
+from kedge.studies.study import Study, Trials
+
+ENGINES = ("local", "processes", "dask")
+ANSWER = 8.0  # s that a scheduler has to answer
+ATTEMPTS = 3
+"""How often chunks are begun anew that were lost with a process."""
+
+Say = Callable[[str], None]
+Chunks = Iterator[tuple[int, dict[str, np.ndarray]]]
+
+
+class Job(NamedTuple):
+    """A study as text and numbers, so that it can be sent to another machine."""
+
+    configuration: str
+    """The scenario with all that was changed in it, as JSON."""
+    filters: tuple[str, ...]
+    runs: int
+    seed: int
+    chunk: int
+    origin: str = ""
+    """The scenario's file, from which modules of the user's own are found."""
+
+    def setting(self) -> Setting:
+        """Build the scenario.
+
+        Raises:
+            KedgeError: it cannot be built here.
+        """
+        config = ScenarioConfig.model_validate_json(self.configuration)
+        return build_setting(config)
+
+    def study(self, setting: Setting) -> Study:
+        """How the scenario is scored."""
+        about = setting.config.scenario
+        how = about.burn_in, about.score, about.start, self.seed
+        windows = setting.config.windows
+        return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
+
+    def trials(self, say: Say = lambda text: None) -> Trials:
+        """Make the study ready to be computed.
+
+        Raises:
+            KedgeError: the scenario or a filter cannot be built here.
+        """
+        if self.origin:
+            from pathlib import Path
+
+            load_modules(Path(self.origin))
+        setting = self.setting()
+        filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
+        return Trials(self.study(setting), filters, self.runs, self.chunk, say)
+
+
+def compute(job: Job, number: int) -> dict[str, np.ndarray]:
+    """Compute one chunk in a worker, which keeps what it compiled for the next."""
+    with _alone:
+        return pack(_trials(job).part(number))
+
+
+def check(job: Job, say: Say) -> None:
+    """See that every filter can run, before anything is computed or sent anywhere.
+
+    Raises:
+        KedgeError: a filter cannot run on the scenario's rig.
+    """
+    trials = _trials(job)
+    trials.say = say
+    trials.prepare()
+
+
+def local(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
+    """One batched computation after the other, in this process."""
+    trials = _trials(job)
+    trials.say = say
+    for number in numbers:
+        yield number, pack(trials.part(number))
+
+
+def processes(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
+    """A process for each core; a chunk is a task.
+
+    Raises:
+        KedgeError: processes end again and again before their chunk is done.
+    """
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from concurrent.futures.process import BrokenProcessPool
+
+    left = list(numbers)
+    for _ in range(ATTEMPTS):
+        if not left:
+            return
+        # Not forked: JAX's threads would not survive that.
+        context = multiprocessing.get_context("spawn")
+        count = min(os.cpu_count() or 1, len(left))
+        say(f"{count} processes, {len(left)} chunks")
+        pool = ProcessPoolExecutor(count, context, _ignore_interrupts)
+        try:
+            tasks = {pool.submit(compute, job, number): number for number in left}
+            for task in as_completed(tasks):
+                arrays, number = task.result(), tasks.pop(task)
+                left.remove(number)
+                yield number, arrays
+        except BrokenProcessPool:
+            say("a process ended before its chunk was done; its chunk is begun anew")
+        finally:
+            pool.shutdown(cancel_futures=True)
+    if left:
+        raise KedgeError(
+            f"--engine processes: found {ATTEMPTS} times that a process ended before its chunk "
+            f"was done (too little memory?); {len(left)} chunks are left"
+        )
+
+
+def dask(job: Job, numbers: Sequence[int], say: Say, scheduler: str) -> Chunks:
+    """The workers of a Dask cluster, which need kedge installed; a chunk is a task.
+
+    A chunk that is lost with a worker is given to another.
+
+    Raises:
+        KedgeError: the package ``distributed`` is not installed, or workers are lost again and
+            again.
+        ConfigError: the scheduler does not answer.
+    """
+    try:
+        import distributed
+    except ModuleNotFoundError as error:
+        raise KedgeError(
+            f"--engine dask needs {error.name}, which is not installed; "
+            "install it with: pip install 'kedge[distributed]'"
+        ) from error
+    try:
+        client: Any = distributed.Client(scheduler, timeout=ANSWER, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"--scheduler {scheduler}: found no answer within {ANSWER:g} s, expected a running "
+            "Dask scheduler such as tcp://127.0.0.1:8786"
+        ) from error
+    with client:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        say(f"{workers} workers, {len(numbers)} chunks" + ("; waiting" if not workers else ""))
+        tasks = {client.submit(compute, job, n, pure=False, retries=1): n for n in numbers}
+        try:
+            for task in distributed.as_completed(list(tasks), loop=client.loop):
+                arrays, number = task.result(), tasks.pop(task)
+                task.release()
+                yield number, arrays
+        except distributed.KilledWorker as error:
+            raise KedgeError(
+                f"--engine dask: workers ended again and again before a chunk was done: {error}"
+            ) from error
+        finally:
+            client.cancel(list(tasks))
+
+
+def chosen(engine: str, scheduler: str | None) -> Callable[[Job, Sequence[int], Say], Chunks]:
+    """The engine of a name.
+
+    Raises:
+        ConfigError: there is no such engine, or a scheduler is missing or of no use.
+    """
+    if engine not in ENGINES:
+        raise ConfigError(f"--engine: found {engine!r}, expected one of {list(ENGINES)}")
+    if (engine == "dask") != (scheduler is not None):
+        raise ConfigError(
+            "--engine dask and --scheduler tcp://HOST:PORT go together: "
+            f"found engine {engine!r} and scheduler {scheduler!r}"
+        )
+    if scheduler is not None:
+        return functools.partial(dask, scheduler=scheduler)
+    return {"local": local, "processes": processes}[engine]
+
+
+_alone = threading.Lock()
+"""A worker may have several threads; two of them would compile the same filter twice."""
+
+
+@functools.lru_cache(maxsize=2)
+def _trials(job: Job) -> Trials:
+    use_compilation_cache()
+    return job.trials()
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the process that collects the chunks."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,355 @@
+"""What a study's runs say: scores with intervals, ratios to a baseline, curves over time."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.special import betaincinv, stdtrit
+
+from kedge.core.manifolds import Space, space_of
+from kedge.evaluation.consistency import chi_square_interval
+from kedge.studies.scores import Result, RunScores, TimeSums, finite
+from kedge.studies.study import Plan, Study, plan_of
+
+BASELINE = "kalman"
+REPLICATES = 2000
+"""Of the bootstrap."""
+
+
+class Interval(NamedTuple):
+    """A mean over independent runs with its 95 % confidence interval (NaN for one run)."""
+
+    mean: float
+    lower: float
+    upper: float
+
+
+class Curves(NamedTuple):
+    """One filter over time: means over the runs, with the bounds that they should keep."""
+
+    time: Float[np.ndarray, " K"]
+    rmse: Mapping[str, Float[np.ndarray, " K"]]
+    """By field."""
+    nees: Float[np.ndarray, " K"]
+    nees_bounds: tuple[float, float]
+    nis_time: Float[np.ndarray, " E"]
+    nis: Float[np.ndarray, " E"]
+    """Divided by the degrees of freedom: 1 if the model is right."""
+    nis_bounds: tuple[Float[np.ndarray, " E"], Float[np.ndarray, " E"]]
+
+
+def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, dict[str, Any]]:
+    """The scores of all filters for ``summary.json``, with ratios to the baseline."""
+    base = baseline(list(results))
+    found = {name: summarise(study, result) for name, result in results.items()}
+    for name, result in results.items():
+        ratios = compare(study, result, results[base])
+        of = found[name]["score_of"]
+        found[name] |= {
+            "baseline": base,
+            "ratio_to_baseline": ratios[of].mean,
+            "ratio_to_baseline_ci": list(ratios[of][1:]),
+            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
+            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
+        }
+        found[name]["by_time"] = by_time(study, result, results[base])
+        ratios = compare(study, result, results[base], whole=True)
+        found[name]["all_steps"] |= {
+            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
+            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
+        }
+    return found
+
+
+def baseline(names: Sequence[str]) -> str:
+    """The filter that the others are compared with: "kalman" if it is there, else the first."""
+    return BASELINE if BASELINE in names else names[0]
+
+
+def summarise(study: Study, result: Result) -> dict[str, Any]:
+    """The scores of one filter: each with its 95 % interval over runs.
+
+    ``tracking`` has the root mean squares of what the scenario's world watches.
+    ``all_steps`` has them without a burn-in. Runs that came out not finite are left out and
+    counted as ``failed``.
+    """
+    good, states = finite(result), _states(study)
+    mean = interval(np.asarray(result.runs.time_mean_rms)[good])
+    found = _window(study, result.runs, good)
+    if study.score == "pooled":
+        headline = _headline(study)
+        score, score_ci = found["rmse"][headline], found["rmse_ci"][headline]
+    else:
+        headline, score, score_ci = study.score, mean.mean, list(mean[1:])
+    return {
+        "score": score,
+        "score_ci": score_ci,
+        "score_of": headline,
+        **found,
+        "time_mean_rms": mean.mean,
+        "time_mean_rms_ci": list(mean[1:]),
+        "nees_dof": states.size,
+        "all_steps": _window(study, result.whole, good),
+        "runs": len(good),
+        "failed": int((~good).sum()),
+        "seconds": result.seconds,
+        "seconds_per_run": result.seconds / len(good),
+        "compile_seconds": result.compile_seconds,
+        "compiler": result.compiler,
+    }
+
+
+def blank(study: Study) -> Result:
+    """A result of two runs that all came out zero: it has every score's name."""
+    plan, sensors = plan_of(study), len(study.scenario.rig.sensors)
+    size, watches, runs = _states(study).size, len(_watches(study)), 2
+    each = np.zeros(runs)
+    scores = RunScores(
+        time_mean_rms=each,
+        squared=np.zeros((runs, size)),
+        nees=each,
+        coverage=each,
+        within=np.zeros((runs, size)),
+        nis=np.zeros((runs, sensors)),
+        nis_dof=np.zeros((runs, sensors)),
+        tracked=np.zeros((runs, watches)),
+    )
+    times, readings = len(plan.time), len(plan.sensed)
+    none = np.zeros(readings)
+    sums = TimeSums(np.zeros(()), np.zeros((times, size)), np.zeros(times), none, none, none)
+    apart = dict.fromkeys(plan_of(study).windows, scores)
+    return Result(scores, scores, sums, 0.0, windows=apart)
+
+
+def compare(
+    study: Study, result: Result, other: Result, whole: bool = False
+) -> dict[str, Interval]:
+    r"""Ratios of one filter's scores to another's over the same runs, by field and component.
+
+    $\sqrt{\sum_i m_i / \sum_i m'_i}$ with $m_i$, $m'_i$ the mean squared errors of run i; the
+    time-mean-rms is a ratio of means. The interval holds the middle 95 % of the ratios over
+    :data:`REPLICATES` draws of whole runs, with replacement, in pairs: what a run's truth and
+    readings do to both filters cancels. NaN for one run.
+
+    Source: B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993, sections 8.3
+    and 13.3 (percentile interval).
+    """
+    good = finite(result) & finite(other)
+    cuts = parts_of(_states(study))
+    left, right = (r.whole if whole else r.runs for r in (result, other))
+    columns = {}
+    for name, cut in cuts.items():
+        pair = (np.asarray(s.squared)[good][:, cut].sum(axis=1) for s in (left, right))
+        columns[name] = (*pair, 0.5)
+    for number, name in enumerate(_watches(study)):
+        pair = (np.asarray(s.tracked)[good][:, number] for s in (left, right))
+        columns[f"tracking.{name}"] = (*pair, 0.5)
+    pair = (np.asarray(s.time_mean_rms)[good] for s in (left, right))
+    columns["time-mean-rms"] = (*pair, 1.0)
+    count = int(good.sum())
+    if not count:
+        return dict.fromkeys(columns, Interval(float("nan"), float("nan"), float("nan")))
+    table = np.stack([column for pair in columns.values() for column in pair[:2]], axis=1)
+    powers = np.array([power for *_, power in columns.values()])
+
+    def ratios(sums: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " fields"]:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return (sums[0::2] / sums[1::2]) ** powers
+
+    middle = ratios(table.sum(axis=0))
+    if count < 2:
+        lower = upper = np.full(len(powers), np.nan)
+    else:
+        # The same draws for every pair of filters, from no stream of the study's.
+        draws = np.random.default_rng(1993)
+        again = [
+            ratios(np.bincount(draws.integers(0, count, count), minlength=count) @ table)
+            for _ in range(REPLICATES)
+        ]
+        lower, upper = np.quantile(np.stack(again), [0.025, 0.975], axis=0)
+    rows = zip(columns, middle.tolist(), lower.tolist(), upper.tolist(), strict=True)
+    return {name: Interval(*row) for name, *row in rows}
+
+
+def by_time(study: Study, result: Result, other: Result) -> dict[str, dict[str, float]]:
+    """Means over times after the burn-in: of the RMSE over runs, and of its ratio to another's.
+
+    Where each time is an experiment of its own, such as a place at which a tag was put down,
+    this is the mean of their results, to which a bad place adds no more than its own.
+    """
+    settled = plan_of(study).settled
+    roots = [
+        np.sqrt(np.asarray(r.sums.squared)[settled] / max(int(r.sums.total), 1))
+        for r in (result, other)
+    ]
+    found: dict[str, dict[str, float]] = {"rmse": {}, "ratio": {}}
+    for name, cut in _states(study).slices().items():
+        own, base = (np.linalg.norm(root[:, cut], axis=1) for root in roots)
+        found["rmse"][name] = float(own.mean())
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found["ratio"][name] = float((own / base).mean())
+    return found
+
+
+def curves(study: Study, plan: Plan, result: Result) -> Curves:
+    r"""Means over runs at each time; NEES and NIS with the two-sided 95 % bounds of their mean.
+
+    Source: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with Applications to
+    Tracking and Navigation", 2001, section 5.4.2.
+    """
+    states, sums = _states(study), result.sums
+    count = max(int(sums.total), 1)
+    squared = np.asarray(sums.squared) / count
+    dof, fused = np.asarray(sums.nis_dof), np.asarray(sums.nis_count)
+    there = dof > 0
+    # Few readings differ in how many there are and how large: find each bound once.
+    kinds, kind = np.unique(np.stack([dof, fused], 1)[there], axis=0, return_inverse=True)
+    bounds = [chi_square_interval(d / n, int(n)) for d, n in kinds.tolist()]
+    ends = np.array(bounds).reshape(-1, 2)[kind.ravel()]
+    each = (dof / np.maximum(fused, 1))[there]
+    return Curves(
+        time=plan.time,
+        rmse={
+            name: np.sqrt(squared[:, cut].sum(axis=1)) for name, cut in states.slices().items()
+        },
+        nees=np.asarray(sums.nees) / count,
+        nees_bounds=chi_square_interval(states.size, count),
+        nis_time=plan.sensed_time[there],
+        nis=np.asarray(sums.nis)[there] / dof[there],
+        nis_bounds=(ends[:, 0] / each, ends[:, 1] / each),
+    )
+
+
+def windows(study: Study, plan: Plan, result: Result) -> dict[str, dict[str, Any]]:
+    """The scores over each of the study's windows, and over the rest after the burn-in.
+
+    ``nis_per_dof`` is that of all sensors together, per degree of freedom.
+    """
+    good, sums, found = finite(result), result.sums, {}
+    for name, window in plan.windows.items():
+        freedom = float(np.asarray(sums.nis_dof)[window.sensed].sum())
+        nis = float(np.asarray(sums.nis)[window.sensed].sum())
+        found[name] = _window(study, result.windows[name], good)
+        found[name]["nis_per_dof"] = nis / freedom if freedom else float("nan")
+    return found
+
+
+def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
+    r"""The mean of independent values and $\bar x \pm t_{n-1} \, s / \sqrt n$.
+
+    Source: Student, "The probable error of a mean", Biometrika 6(1), 1908.
+    """
+    count = len(values)
+    if count == 0:
+        return Interval(float("nan"), float("nan"), float("nan"))
+    mean = float(np.mean(values))
+    if count == 1:
+        return Interval(mean, float("nan"), float("nan"))
+    half = float(stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count))
+    return Interval(mean, mean - half, mean + half)
+
+
+def share(values: Float[np.ndarray, " runs"]) -> Interval:
+    r"""The mean of shares, one a run, and the exact interval of so many yes-or-no trials.
+
+    $B^{-1}_{\alpha/2}(k, n - k + 1)$ to $B^{-1}_{1-\alpha/2}(k + 1, n - k)$ with the sum k of
+    the shares of n runs: exact for one time a run. Over more it is wide enough even if the
+    times of a run all go the same way.
+
+    Source: C. Clopper and E. Pearson, "The use of confidence or fiducial limits illustrated in
+    the case of the binomial", Biometrika 26(4), 1934.
+    """
+    count, total = len(values), float(np.sum(values))
+    if not count or not math.isfinite(total):
+        return Interval(math.nan, math.nan, math.nan)
+    rest = max(count - total, 0.0)
+    lower = float(betaincinv(total, rest + 1, 0.025)) if total > 0 else 0.0
+    upper = float(betaincinv(total + 1, rest, 0.975)) if rest > 0 else 1.0
+    return Interval(total / count, lower, upper)
+
+
+def _within(states: Space, shares: Float[np.ndarray, "runs n"]) -> dict[str, Interval]:
+    """Shares of times within 3 standard deviations; of a field that of its worst component."""
+    each = [share(column) for column in shares.T]
+    return {
+        name: min(each[cut], key=lambda found: found.mean)
+        for name, cut in parts_of(states).items()
+    }
+
+
+def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]:
+    """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
+    squared, tracked = (np.asarray(s)[good] for s in (scores.squared, scores.tracked))
+    found: dict[str, Any] = _roots(
+        "rmse", {n: squared[:, cut].sum(axis=1) for n, cut in parts_of(_states(study)).items()}
+    )
+    if names := _watches(study):
+        found |= _roots("tracking", {name: tracked[:, i] for i, name in enumerate(names)})
+    nees = interval(np.asarray(scores.nees)[good])
+    found |= {"nees": nees.mean, "nees_ci": list(nees[1:])}
+    by_sensor: dict[str, dict[str, Any]] = {"nis": {}, "nis_ci": {}, "nis_dof": {}}
+    for number, installation in enumerate(study.scenario.rig.sensors):
+        values = np.asarray(scores.nis)[good][:, number]
+        dofs = np.asarray(scores.nis_dof)[good][:, number]
+        fused = np.isfinite(values)
+        nis = interval(values[fused])
+        by_sensor["nis"][installation.name] = nis.mean
+        by_sensor["nis_ci"][installation.name] = list(nis[1:])
+        by_sensor["nis_dof"][installation.name] = interval(dofs[fused]).mean
+    coverage = interval(np.asarray(scores.coverage)[good])
+    within = _within(_states(study), np.asarray(scores.within)[good])
+    return (
+        found
+        | by_sensor
+        | {
+            "coverage_95": coverage.mean,
+            "coverage_95_ci": list(coverage[1:]),
+            "within_3_sigma": {name: found.mean for name, found in within.items()},
+            "within_3_sigma_ci": {name: list(found[1:]) for name, found in within.items()},
+        }
+    )
+
+
+def _roots(key: str, squared: Mapping[str, Float[np.ndarray, " runs"]]) -> dict[str, Any]:
+    """Roots of means over runs, and of the ends of their intervals, by name."""
+    means = {name: interval(values) for name, values in squared.items()}
+    return {
+        key: {name: float(np.sqrt(mean.mean)) for name, mean in means.items()},
+        f"{key}_ci": {
+            name: [float(np.sqrt(max(end, 0.0))) for end in mean[1:]]
+            for name, mean in means.items()
+        },
+    }
+
+
+def _watches(study: Study) -> tuple[str, ...]:
+    world = study.scenario.world
+    return () if world is None else world.watches
+
+
+def _states(study: Study) -> Space:
+    return space_of(type(study.scenario.rig.prior.mean))
+
+
+def _headline(study: Study) -> str:
+    """The field that a filter is judged by."""
+    fields = _states(study).cls._fields
+    return study.field or ("position" if "position" in fields else fields[0])
+
+
+def parts_of(states: Space) -> dict[str, slice]:
+    """Every field, every component of fields of up to 3 components, a position in plan."""
+    parts = {}
+    for name, cut in states.slices().items():
+        parts[name] = cut
+        if 1 < cut.stop - cut.start <= 3:
+            parts |= {states.labels[i]: slice(i, i + 1) for i in range(cut.start, cut.stop)}
+    return parts | _in_plan(states)
+
+
+def _in_plan(states: Space) -> dict[str, slice]:
+    """Of a position in space, what a map shows of it."""
+    cut = states.slices().get("position", slice(0, 0))
+    return {"horizontal": slice(cut.start, cut.start + 2)} if cut.stop - cut.start == 3 else {}

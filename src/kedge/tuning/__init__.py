@@ -1,0 +1,1 @@
+"""Numbers of a rig found from a recorded log."""

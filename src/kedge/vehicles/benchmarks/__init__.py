@@ -1,0 +1,1 @@
+"""Chaotic systems on which the data assimilation literature compares filters."""

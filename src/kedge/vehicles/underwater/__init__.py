@@ -1,0 +1,1 @@
+"""The torpedo-shaped underwater vehicle: hydrodynamics, hull geometry, coefficients."""
