@@ -57,7 +57,7 @@ def test_normals(times, dtype):
 def test_forms(times, dtype):
     """Prediction and update of a unicycle that sees a landmark."""
     control, seen = cast((Control(1.0, 0.1), Measurement(6.0, 0.5)), dtype)
-    sensor = Landmarks(target=Landmark(jnp.array([[5.0, 4.0]], dtype))).facing(0)
+    sensor = Landmarks(target=Landmark(jnp.array([[5.0, 4.0]], dtype))).for_target(0)
     prior, dt, key = (
         kedge.Gaussian(Unicycle().start(), 0.1 * jnp.eye(3)),
         jnp.asarray(0.1, dtype),
@@ -99,7 +99,9 @@ def paper_a(runs, steps):
     schedule = Schedule(
         0.1 * jnp.arange(1, steps + 1), jnp.zeros(steps, int), jnp.arange(steps)
     )
-    controls = jax.tree.map(lambda leaf: jnp.full((runs, steps), leaf), vehicle.drive(0.0))
+    controls = jax.tree.map(
+        lambda leaf: jnp.full((runs, steps), leaf), vehicle.nominal_control(0.0)
+    )
     readings = (Readings(measured, jnp.zeros((runs, steps), int)),)
     return rig, Log(schedule, controls, readings)
 

@@ -58,7 +58,7 @@ def world(size, cycles):
     calm = type(start)(jnp.zeros(size))
 
     def step(state, _):
-        state = vehicle.step(state, vehicle.drive(0.0), calm, dt)
+        state = vehicle.step(state, vehicle.nominal_control(0.0), calm, dt)
         return state, state.values
 
     rng = np.random.default_rng(1)
@@ -78,7 +78,9 @@ def ours(filter, vehicle, sensor, dt, first, start_std, readings):
     times = dt * np.arange(1, cycles + 1)
     schedule = Schedule(times, np.zeros(cycles, int), np.arange(cycles))
     rows = Readings(sensor.measures(readings[None]), np.zeros((1, cycles), int))
-    controls = jax.tree.map(lambda leaf: jnp.full((1, cycles), leaf), vehicle.drive(0.0))
+    controls = jax.tree.map(
+        lambda leaf: jnp.full((1, cycles), leaf), vehicle.nominal_control(0.0)
+    )
     log = Log(schedule, controls, (rows,))
 
     def run():

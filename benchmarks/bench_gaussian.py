@@ -61,7 +61,7 @@ def ring(size, hard):
         def start(self):
             return State(jnp.ones(half), jnp.zeros(half))
 
-        def drive(self, time):
+        def nominal_control(self, time):
             return ()
 
     class Places(AbstractSensor):

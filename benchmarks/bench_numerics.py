@@ -48,7 +48,7 @@ def runner(filter, vehicle, sensor, control, seen, dtype, dt=DT, steps=STEPS):
 @pytest.mark.parametrize("name", ["extended", "unscented"])
 def test_time(times, name, dtype):
     vehicle, control = unicycle.Unicycle(), unicycle.Control(1.0, 0.1)
-    sensor = Landmarks(target=Landmark(jnp.array([[5.0, 4.0]], dtype))).facing(0)
+    sensor = Landmarks(target=Landmark(jnp.array([[5.0, 4.0]], dtype))).for_target(0)
     prior = cast(kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(3)), dtype)
     many = jax.tree.map(lambda leaf: jnp.stack([leaf] * BATCH), prior)
     found = {}

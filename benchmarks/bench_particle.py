@@ -50,7 +50,7 @@ class Linear(kedge.AbstractVehicle[Place, tuple, Place]):
     def start(self):
         return Place(jnp.array(0.0))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return ()
 
 

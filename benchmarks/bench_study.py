@@ -113,7 +113,9 @@ def rig_and_log(z):
     runs = len(values)
     measured = sensor.measures(*map(np.ascontiguousarray, (values[..., :2], values[..., 2:])))
     schedule = Schedule(DT * np.arange(1, STEPS + 1), np.zeros(STEPS, int), np.arange(STEPS))
-    controls = jax.tree.map(lambda leaf: jnp.full((runs, STEPS), leaf), vehicle.drive(0.0))
+    controls = jax.tree.map(
+        lambda leaf: jnp.full((runs, STEPS), leaf), vehicle.nominal_control(0.0)
+    )
     return rig, Log(schedule, controls, (Readings(measured, np.zeros((runs, STEPS), int)),))
 
 

@@ -158,7 +158,7 @@ def numpy_step(vehicle):
 
 def test_the_dynamics_against_numpy(times):
     vehicle, steps = Underwater(), 500
-    control = vehicle.drive(1.0)
+    control = vehicle.nominal_control(1.0)
     std = np.asarray(process_std(vehicle, DT))
     white = std[None, :, None] * np.random.default_rng(0).normal(size=(steps, 6, MEMBERS))
     start = vehicle.start()

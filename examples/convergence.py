@@ -45,7 +45,7 @@ class GrowthVehicle(kedge.AbstractVehicle[Growth, Growth, Growth]):
     def start(self):
         return Growth(jnp.array(0.1))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Growth(8 * jnp.cos(1.2 * time))
 
 

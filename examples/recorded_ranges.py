@@ -142,7 +142,7 @@ def main() -> None:
         load_problem("plaza", log), ["extended", "hypotheses", "hypotheses:inner=unscented"]
     )
     alone = "{speed_scale={std=0.05}, yaw_rate_scale={std=0.05}}"
-    problem = load_problem("plaza", log, overrides=NO_GATE | {"vehicle.slow": alone})
+    problem = load_problem("plaza", log, overrides=NO_GATE | {"vehicle.augmented": alone})
     ((_, text),) = figures(problem, ["extended"])
     print(f"{'no scale of the ranges':24s}{'none':18s}{text}")
 

@@ -29,7 +29,7 @@ def rig(tmp_path: Path, text: str = RIG) -> str:
     return str(tmp_path / "rig.toml")
 
 
-def complaint(tmp_path: Path, text: str) -> str:
+def validation_error(tmp_path: Path, text: str) -> str:
     with pytest.raises(ConfigError) as caught:
         load_rig_config(rig(tmp_path, text))
     message = str(caught.value)
@@ -51,13 +51,13 @@ def test_defaults_and_overrides(tmp_path):
         {
             "sensors.camera.gate": "0.05",
             "filter.name": "particle:count=10",
-            "vehicle.slow.speed_scale": "{ std = 0.05, walk = 0.001 }",
+            "vehicle.augmented.speed_scale": "{ std = 0.05, random_walk = 0.001 }",
             "prior.std.position": "[1.0, 2.0]",
         },
     )
     assert changed.sensors["camera"].gate == 0.05
     assert changed.filter.name == "particle:count=10"
-    assert changed.vehicle.slow["speed_scale"].walk == 0.001
+    assert changed.vehicle.augmented["speed_scale"].random_walk == 0.001
     assert changed.prior.std["position"] == [1.0, 2.0]
 
 
@@ -169,12 +169,12 @@ def test_overrides_that_are_wrong(tmp_path, key, value, message):
 def test_each_mistake_is_named_by_file_line_and_key(tmp_path, old, new, message):
     if "fast" in new:  # The rate is checked before what spans several tables.
         new = new.replace("'fast'", "5.0")
-    assert message in complaint(tmp_path, RIG.replace(old, new, 1))
+    assert message in validation_error(tmp_path, RIG.replace(old, new, 1))
 
 
 def test_all_mistakes_at_once(tmp_path):
     text = RIG.replace("speed_noise", "noise").replace("gate = 0.01", "gate = 2\nrat = 1")
-    lines = complaint(tmp_path, text + "[output]\nrate = -1\n").splitlines()
+    lines = validation_error(tmp_path, text + "[output]\nrate = -1\n").splitlines()
     keys = [line.split(": ")[1] for line in lines]
     assert keys == [
         "vehicle.parameters.noise",
@@ -196,7 +196,7 @@ def test_all_mistakes_at_once(tmp_path):
 )
 def test_covariances_that_are_none(tmp_path, rows, message):
     text = RIG.replace("std = { position = 0.1, heading = 0.2 }", f"covariance = {rows}")
-    assert message in complaint(tmp_path, text)
+    assert message in validation_error(tmp_path, text)
 
 
 def test_a_vehicle_without_control(tmp_path):
@@ -226,3 +226,16 @@ def test_the_schema_takes_what_the_loader_takes(tmp_path):
     assert check.is_valid(config)
     assert check.is_valid(config | {"prior": {"std": {"position": 0.1, "heading": [0.1]}}})
     assert not check.is_valid(config | {"priro": {}})
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("vehicle.slow", "augmented"),
+        ("sensors.camera.sweep", "all_targets"),
+        ("sensors.camera.really", "true_parameters"),
+    ],
+)
+def test_a_renamed_key_is_told_by_its_new_name(old, new):
+    with pytest.raises(ConfigError, match=f"{old}: this key is called '{new}' now"):
+        load_rig_config("mrclam", {old: "1"})

@@ -181,7 +181,9 @@ def test_between_true_headings_the_short_way_is_taken(drive):
 
 def test_slow_states_and_a_full_covariance(drive):
     drive.swap(
-        "rig", "[control]", "[vehicle.slow.speed_scale]\nstd = 0.05\nwalk = 0.001\n[control]"
+        "rig",
+        "[control]",
+        "[vehicle.augmented.speed_scale]\nstd = 0.05\nrandom_walk = 0.001\n[control]",
     )
     drive.swap(
         "rig",
@@ -245,8 +247,8 @@ def test_the_digest_is_that_of_the_files(drive):
             "rig", '"gnss"\nsource = "fix"\ncovariance = ["c00", "c01", "c11"]',
             '"velocity"', ContractError, "rig.toml: MapVelocity ('gnss') reads",
         ),
-        ("rig", "[control]", "[vehicle.slow.drag]\nstd = 1\n[control]", ContractError,
-         "rig.toml: slow quantity 'drag' is neither"),
+        ("rig", "[control]", "[vehicle.augmented.drag]\nstd = 1\n[control]", ContractError,
+         "rig.toml: augmented state 'drag' is neither"),
         ("log.toml", "range_std = \"m\"", 'range_std = "rad"', DataError,
          "column 'range_std': found unit 'rad', expected 'm' for sensors.camera.std.range"),
         ("log.toml", "deg/s", "m/s", DataError,
@@ -307,7 +309,7 @@ def test_steps_that_are_too_long_for_the_vehicle(tmp_path):
         (tmp_path / "log" / f"{name}.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "rig.toml").write_text(
         'extends = "auv_navigation-hydrodynamic"\nwithout = ["sensors.dvl", "sensors.ahrs", '
-        '"sensors.gyro", "vehicle.slow"]\n[output]\nrate = 1.0\n'
+        '"sensors.gyro", "vehicle.augmented"]\n[output]\nrate = 1.0\n'
     )
     given = str(tmp_path / "rig.toml"), str(tmp_path / "log")
     message = (

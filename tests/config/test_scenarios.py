@@ -151,7 +151,7 @@ def test_a_world_with_its_route_and_models_of_filters(tmp_path):
     assert setting.scenario.rig.vehicle.kinematics == "mirrored"
     assert setting.vehicles["kalman"].rule == "forward"
     assert setting.scenario.feedback == "filter"
-    assert setting.scenario.navigator.name == "extended"
+    assert setting.scenario.loop_filter.name == "extended"
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ def test_a_log_may_begin_deep(tmp_path):
     (tmp_path / "log" / "depth.csv").write_text("\n".join(["time,depth", *rows]) + "\n")
     (tmp_path / "rig.toml").write_text(
         'extends = "auv_navigation"\nwithout = ["sensors.dvl", "sensors.ahrs", "sensors.gyro", '
-        '"vehicle.slow"]\n'
+        '"vehicle.augmented"]\n'
     )
     problem = load_problem(str(tmp_path / "rig.toml"), str(tmp_path / "log"))
     log = problem.recording.log

@@ -61,7 +61,7 @@ class Rail(AbstractVehicle[State, Push, Push]):
     def start(self):
         return State(jnp.array(0.0), jnp.zeros(2) if self.fault == "start" else jnp.array(1.0))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Push(1.0 + 0.0 * time)
 
 

@@ -21,7 +21,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.estimation.rig import Installation, check_reads
 from kedge.filters.wrappers.gated import Gated
-from kedge.vehicles.augmented import Augmented, Wander, augment
+from kedge.vehicles.augmented import Augmented, Drift, augment
 
 GAUSSIAN = [
     name
@@ -64,7 +64,7 @@ def fitting(state) -> Iterator[Installation]:
 
 def vehicle_called(name):
     if name == "augmented":
-        return augment(registry.vehicles.make("unicycle"), {"speed_scale": Wander(0.1)}, ())
+        return augment(registry.vehicles.make("unicycle"), {"speed_scale": Drift(0.1)}, ())
     # A rule with 3 points an axis has 3^80 on the default ring.
     return registry.vehicles.make(name, **({"size": 4} if name == "lorenz96" else {}))
 
@@ -91,7 +91,9 @@ def test_step_is_straight_line(name, vehicle):
     belief = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), belief)
     belief = filter.init(belief, key)
     try:
-        found = crooked(lambda b: filter.predict(model, b, model.drive(0.0), 0.1, key), belief)
+        found = crooked(
+            lambda b: filter.predict(model, b, model.nominal_control(0.0), 0.1, key), belief
+        )
     except ContractError as refusal:
         assert name in ("kalman", "gauss-hermite")
         pytest.skip(str(refusal))
@@ -100,7 +102,7 @@ def test_step_is_straight_line(name, vehicle):
     sensors = list(fitting(start))
     assert sensors, f"no sensor fits {vehicle}: its updates cannot be tested"
     for installation in sensors:
-        sensor = installation.sensor.facing(0)
+        sensor = installation.sensor.for_target(0)
         reading = jax.eval_shape(sensor.expect, start)
         reading = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), reading)
         try:

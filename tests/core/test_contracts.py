@@ -73,16 +73,16 @@ def test_a_sensor_faces_one_target_of_its_map():
     sensor = Landmarks()
     for index in range(3):
         np.testing.assert_array_equal(
-            sensor.facing(index).target.position, sensor.target.position[index]
+            sensor.for_target(index).target.position, sensor.target.position[index]
         )
     # The index may be traced while the map is still a plain array.
-    traced = quick_jit(lambda index: sensor.facing(index).target.position)
+    traced = quick_jit(lambda index: sensor.for_target(index).target.position)
     np.testing.assert_array_equal(traced(2), sensor.target.position[2])
 
 
 def test_a_sensor_without_a_map_is_itself():
     sensor = East()
-    assert sensor.facing(0) is sensor
+    assert sensor.for_target(0) is sensor
 
 
 class Angle(NamedTuple):
@@ -101,7 +101,7 @@ class Pendulum(AbstractOdeVehicle[Angle, NamedTuple, Place]):
     def start(self):
         return Angle(jnp.array(0.1))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Place(jnp.zeros(2))
 
 

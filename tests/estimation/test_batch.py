@@ -262,7 +262,9 @@ def test_what_is_not_kept_is_not_stored(key):
     rig = Rig(vehicle, (), Gaussian(vehicle.start(), 1e-6 * jnp.eye(1000)))
     log = Log(
         Schedule(0.01 * (1 + jnp.arange(steps)), jnp.full(steps, -1), jnp.zeros(steps, int)),
-        jax.tree.map(lambda leaf: jnp.zeros((steps, *jnp.shape(leaf))), vehicle.drive(0.0)),
+        jax.tree.map(
+            lambda leaf: jnp.zeros((steps, *jnp.shape(leaf))), vehicle.nominal_control(0.0)
+        ),
         (),
     )
     filter = EnsembleKalman(count=5)

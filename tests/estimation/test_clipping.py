@@ -46,7 +46,7 @@ class Limited(Unicycle):
     """Drives no faster than 2 m/s."""
 
     def control_limits(self):
-        return self.drive(0.0)._replace(speed=2.0, yaw_rate=np.inf)
+        return self.nominal_control(0.0)._replace(speed=2.0, yaw_rate=np.inf)
 
 
 def test_live_commands_are_counted_too():
@@ -54,7 +54,7 @@ def test_live_commands_are_counted_too():
     prior = Gaussian(vehicle.start(), 0.1 * jnp.eye(3))
     estimator = Estimator(ExtendedKalman(), Rig(vehicle, (), prior))
     for time, speed in ((0.1, 1.0), (0.2, 3.0), (0.3, -2.5), (0.3, -2.5), (0.2, 9.0)):
-        told = vehicle.drive(0.0)._replace(speed=speed, yaw_rate=7.0)
+        told = vehicle.nominal_control(0.0)._replace(speed=speed, yaw_rate=7.0)
         estimator.push(time, control=told)
     assert estimator.clipped == {"speed": 2}  # neither what comes twice nor what is late
 

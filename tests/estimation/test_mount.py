@@ -12,7 +12,7 @@ from kedge.core.errors import ContractError
 from kedge.core.manifolds import charts_of
 from kedge.core.quantities import AngularRate3, Attitude, Position3, Velocity3
 from kedge.core.registry import sensors, vehicles
-from kedge.estimation.mount import complaint, seen_from
+from kedge.estimation.mount import seen_from, validation_error
 from kedge.estimation.rig import Installation, Mount, Rig
 from kedge.testing import quick_jit
 
@@ -74,9 +74,9 @@ def test_the_velocity_of_a_mounted_sensor_is_the_derivative_of_its_place():
 
 def test_a_velocity_at_the_end_of_an_arm_needs_the_angular_rate():
     has = charts_of(type(vehicles.make("strapdown").start()))
-    assert "angular_rate in the state" in str(complaint(MOUNT, has, {"velocity"}))
-    assert complaint(MOUNT._replace(x=0.0, y=0.0, z=0.0), has, {"velocity"}) is None
-    assert complaint(MOUNT, has, {"position"}) is None
+    assert "angular_rate in the state" in str(validation_error(MOUNT, has, {"velocity"}))
+    assert validation_error(MOUNT._replace(x=0.0, y=0.0, z=0.0), has, {"velocity"}) is None
+    assert validation_error(MOUNT, has, {"position"}) is None
 
 
 @pytest.mark.parametrize("name", ["z", "roll", "pitch"])

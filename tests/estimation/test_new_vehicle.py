@@ -70,7 +70,7 @@ class CarWithTrailer(AbstractOdeVehicle[State, Control, Control]):
     def start(self) -> State:
         return State(jnp.zeros(2), heading=jnp.array(0.0), trailer_heading=jnp.array(0.0))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control(speed=jnp.array(5.0), steering=0.1 * jnp.sin(0.3 * time))
 '''
 

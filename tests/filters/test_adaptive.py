@@ -35,7 +35,7 @@ def rig(gate=None):
 
 def learned(window, gnss_std, log_std, steps=3000):
     """The factors over time, with readings of other noise than the sensors say."""
-    filter = Adaptive(Kalman(), window=window).aboard(NAMES)
+    filter = Adaptive(Kalman(), window=window).bind_sensors(NAMES)
     models = [named(s) for s in rig().sensors]
     start = VEHICLE.start()
 
@@ -122,7 +122,7 @@ def test_bounds_that_cannot_be(given, message):
 
 
 def test_a_sensor_that_it_was_not_told_of(key):
-    filter = Adaptive(Kalman()).aboard(("log",))
+    filter = Adaptive(Kalman()).bind_sensors(("log",))
     model, belief = named(rig().sensors[0]), filter.init(rig().prior, key)
     with pytest.raises(ContractError, match=r"hears of the sensor 'gnss'.*told of \('log',\)"):
         filter.update(model, belief, Measurement(jnp.zeros(2)), key)

@@ -49,7 +49,7 @@ class Ship(AbstractVehicle[Hull, Thrust, Hull]):
     def start(self):
         return Hull(jnp.array(0.8), jnp.array(0.3))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Thrust(jnp.array(0.4))
 
 
@@ -73,7 +73,7 @@ def predicted(**parameters):
     @quick_jit
     def run(cov):
         belief = filter.init(Gaussian(Ship().start(), cov), jr.key(0))
-        return filter.predict(Ship(), belief, Ship().drive(0.0), DT, jr.key(0))
+        return filter.predict(Ship(), belief, Ship().nominal_control(0.0), DT, jr.key(0))
 
     belief = run(COV)
     return np.stack(belief.moments().mean), belief
@@ -120,7 +120,7 @@ def test_falling_and_rising_memberships():
 
 
 def test_without_a_box_it_is_the_extended_filter(key):
-    vehicle, sensor = vehicles.make("unicycle"), sensors.make("landmarks").facing(0)
+    vehicle, sensor = vehicles.make("unicycle"), sensors.make("landmarks").for_target(0)
     prior = Gaussian(vehicle.start(), 0.1 * jnp.eye(3))
     seen = jax.tree.map(lambda leaf: leaf + 0.1, sensor.expect(vehicle.start()))
 
@@ -130,7 +130,7 @@ def test_without_a_box_it_is_the_extended_filter(key):
         for filter in (FuzzyKalman(), ExtendedKalman()):
             belief = filter.init(prior, key)
             for _ in range(2):
-                belief = filter.predict(vehicle, belief, vehicle.drive(0.0), 0.4, key)
+                belief = filter.predict(vehicle, belief, vehicle.nominal_control(0.0), 0.4, key)
                 belief, score = filter.update(sensor, belief, seen, key)
             found.append((belief.moments(), score))
         return found

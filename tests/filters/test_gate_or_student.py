@@ -25,7 +25,7 @@ def run(filter, fixes):
     rig = Rig(Still(walk=0.01), (Installation("gnss", Gnss(std=0.1)),), prior)
     log = Log(
         Schedule(jnp.arange(1.0, COUNT + 1.0), jnp.zeros(COUNT, int), jnp.arange(COUNT)),
-        Still().drive(0.0),
+        Still().nominal_control(0.0),
         (Readings(Measurement(jnp.asarray(fixes)), jnp.zeros(COUNT, int)),),
     )
     found = estimate(filter, rig, log)

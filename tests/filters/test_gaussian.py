@@ -113,14 +113,14 @@ def test_kalman_refuses_a_nonlinear_vehicle(key):
     vehicle = unicycle.Unicycle()
     prior = Gaussian(vehicle.start(), jnp.eye(3))
     with pytest.raises(ContractError, match=r"unicycle\.State depends nonlinearly.*'extended'"):
-        Kalman().predict(vehicle, prior, vehicle.drive(0.0), 0.1, key)
+        Kalman().predict(vehicle, prior, vehicle.nominal_control(0.0), 0.1, key)
 
 
 def test_kalman_refuses_a_nonlinear_sensor(key):
     prior = Gaussian(unicycle.Unicycle().start(), jnp.eye(3))
     seen = Sight(jnp.array(1.0), jnp.array(0.0))
     with pytest.raises(ContractError, match=r"landmarks\.Measurement depends nonlinearly"):
-        Kalman().update(Landmarks().facing(0), prior, seen, key)
+        Kalman().update(Landmarks().for_target(0), prior, seen, key)
 
 
 def test_unscented_refuses_parameters_without_points():

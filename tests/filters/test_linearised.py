@@ -50,7 +50,7 @@ class Boat(AbstractVehicle[State, Push, Push]):
     def start(self):
         return State(jnp.asarray(3.0), jnp.asarray(1.6))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Push(jnp.asarray(0.7))
 
 
@@ -72,7 +72,7 @@ class Log(AbstractSensor[Spoken]):
 
 
 PRIOR = Gaussian(Boat().start(), jnp.eye(2) * 1e-4)
-PUSH = Boat().drive(0.0)
+PUSH = Boat().nominal_control(0.0)
 
 
 def predicted(filter, key, steps=1):

@@ -51,7 +51,7 @@ class Rail(AbstractVehicle[Trolley, tuple, Push]):
     def start(self):
         return Trolley(jnp.array(0.5), jnp.array(-0.2))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return ()
 
 
@@ -163,7 +163,7 @@ def test_a_nonlinear_step_on_a_manifold(filter, key):
         a, b, c = jr.split(key, 3)
         belief = filter.init(Gaussian(START, jnp.zeros((3, 3))), a)
         belief = filter.predict(ROBOT, belief, Control(1.5, 0.8), LENGTH, b)
-        after, score = filter.update(CAMERA.facing(0), belief, SIGHT, c)
+        after, score = filter.update(CAMERA.for_target(0), belief, SIGHT, c)
         return after.moments(), score
 
     moments, score = run(key)

@@ -21,7 +21,7 @@ from kedge.vehicles.unicycle import State
 STD = np.array([1.5, 1.0, 0.3])
 SENSOR = Landmarks(
     range_std=0.2, bearing_std=0.1, target=Landmark(jnp.array([[2.0, 1.0]]))
-).facing(0)
+).for_target(0)
 SEEN = Measurement(jnp.array(4.0), jnp.array(1.5))
 PRIOR = Gaussian(State(jnp.zeros(2), jnp.array(0.0)), jnp.diag(jnp.asarray(STD**2)))
 

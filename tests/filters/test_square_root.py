@@ -85,7 +85,7 @@ def test_filters_without_deviations_are_refused(name):
 def test_it_is_its_inner_filter(inner, key):
     start = unicycle.State(jnp.array([1.0, 2.0]), jnp.array(3.0))
     prior = Gaussian(start, jnp.diag(jnp.array([0.5, 0.3, 0.2])))
-    sensor = Landmarks(target=Landmark(jnp.array([[4.0, 1.0]]))).facing(0)
+    sensor = Landmarks(target=Landmark(jnp.array([[4.0, 1.0]]))).for_target(0)
 
     @quick_jit
     def both(prior):
@@ -118,7 +118,7 @@ def cycle(filter):
         key = jax.random.key(0)
         sensor = Landmarks(
             range_std=0.1, bearing_std=0.1, target=Landmark(jnp.array([[0.01, 0.0]]))
-        ).facing(0)
+        ).for_target(0)
         belief, first = filter.update(
             sensor, filter.init(prior, key), Sight(jnp.array(0.5), jnp.array(2.0)), key
         )

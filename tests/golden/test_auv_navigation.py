@@ -21,9 +21,9 @@ BEFORE, LOST, AFTER = 4, 35, 36
 """The times in s of estimates: the log is lost from 5 to 35.1 s."""
 
 
-SLOW = "gyroscope_bias={std=0.002, walk=1e-5}, attitude_bias={std=0.005}, "
+SLOW = "gyroscope_bias={std=0.002, random_walk =1e-5}, attitude_bias={std=0.005}, "
 SLOW += "doppler_scale={std=0.003}"
-AIDED = "thrust_scale={std=0.1}, drag_scale={std=0.1}, trim_moment={std=0.3, walk=0.03}"
+AIDED = "thrust_scale={std=0.1}, drag_scale={std=0.1}, trim_moment={std=0.3, random_walk =0.03}"
 MODELS = {
     "kinematic": (300, "body-twist", "{acceleration_noise=0.05, angular_noise=0.1}", SLOW),
     "forces": (
@@ -43,7 +43,7 @@ def runs(request):
     changes = {
         "vehicle.model": f'"{model}"',
         "vehicle.parameters": parameters,
-        "vehicle.slow": f"{{{slow}}}",
+        "vehicle.augmented": f"{{{slow}}}",
         "scenario.duration": f"{AFTER}.0",
         "faults.lock.windows": "[[5.0, 35.1]]",
     }

@@ -226,10 +226,14 @@ def test_noise_that_is_not_spanned_is_drawn(key):
     belief = Ensemble.of(ring(6)(jnp.ones((4000, 6))))
     filter = filters.make("denkf", count=4000, noise="deterministic")
     found = quick_jit(
-        lambda key: filter.predict(vehicle, belief, vehicle.drive(0.0), 1e-4, key).moments()
+        lambda key: filter.predict(
+            vehicle, belief, vehicle.nominal_control(0.0), 1e-4, key
+        ).moments()
     )(key)
     np.testing.assert_allclose(np.diag(found.cov), 0.1**2 * 1e-4, rtol=0.1)
-    calm = vehicle.step(ring(6)(jnp.ones(6)), vehicle.drive(0.0), ring(6)(jnp.zeros(6)), 1e-4)
+    calm = vehicle.step(
+        ring(6)(jnp.ones(6)), vehicle.nominal_control(0.0), ring(6)(jnp.zeros(6)), 1e-4
+    )
     np.testing.assert_allclose(found.mean.values, calm.values, atol=1e-12)
 
 
@@ -291,7 +295,9 @@ def test_batches_of_runs_come_back(name, radius):
     filter = filters.make(
         name, count=8, rotation=True, inflation=1.1, radius=radius, noise="deterministic"
     )
-    found = estimate_runs(filter, rig, Log(schedule, vehicle.drive(0.0), (rows,)), chunk=3)
+    found = estimate_runs(
+        filter, rig, Log(schedule, vehicle.nominal_control(0.0), (rows,)), chunk=3
+    )
     assert found.moments.mean.values.shape == (runs, cycles, size)
     assert np.isfinite(found.moments.mean.values).all()
     assert (np.asarray(found.outcome.verdict) == Verdict.FUSED).all()

@@ -46,7 +46,7 @@ def cycle(filter, key):
             whole @ ROOT @ ROOT.T @ whole.T,
         )
         place = spin @ jnp.array([5.0, 4.0]) + shift
-        sensor = Landmarks(target=Landmark(place[None])).facing(0)
+        sensor = Landmarks(target=Landmark(place[None])).for_target(0)
         belief = filter.init(prior, key)
         belief = filter.predict(Unicycle(speed_noise=0.5), belief, Control(1.5, 0.8), 0.5, key)
         seen = Measurement(jnp.array(4.6), 0.4 + 2 * jnp.pi * windings)

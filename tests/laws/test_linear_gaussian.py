@@ -72,7 +72,7 @@ class Trolley(AbstractVehicle[State, Control, Noise]):
     def start(self):
         return State(jnp.array(0.5), jnp.array(-0.2))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return Control(jnp.array(0.0), jnp.array(1.0))
 
 

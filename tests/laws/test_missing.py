@@ -83,7 +83,7 @@ class Padded(AbstractSensor[Dummy]):
 def test_half_a_reading_is_that_of_a_sensor_with_half(name, key):
     """A GNSS fix without its first, then without its second coordinate; it brings its own
     covariance, of which only the part that is there may count."""
-    filter = filters.make(name).aboard(("gnss", ""))  # the sensors with half have no name
+    filter = filters.make(name).bind_sensors(("gnss", ""))  # the sensors with half have no name
     drawing = name == "ensemble"
 
     @quick_jit
@@ -141,7 +141,7 @@ class RangeOnly(AbstractSensor[Distance]):
     measures = Distance
 
     def observe(self, state):
-        return Distance(Landmarks(target=MAP).facing(0).observe(state).range)
+        return Distance(Landmarks(target=MAP).for_target(0).observe(state).range)
 
     def noise_std(self, state):
         return Distance(0.5)
@@ -154,7 +154,7 @@ class BearingOnly(AbstractSensor[Angle]):
     measures = Angle
 
     def observe(self, state):
-        return Angle(Landmarks(target=MAP).facing(0).observe(state).bearing)
+        return Angle(Landmarks(target=MAP).for_target(0).observe(state).bearing)
 
     def noise_std(self, state):
         return Angle(0.02)
@@ -199,7 +199,7 @@ class Still(AbstractVehicle[constant_velocity.State, tuple, constant_velocity.No
     def start(self):
         return BELIEF.mean
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return ()
 
 

@@ -45,7 +45,7 @@ class Body(AbstractVehicle[State, tuple, Noise]):
     def start(self):
         return State(jnp.zeros(3), jnp.zeros(3))
 
-    def drive(self, time):
+    def nominal_control(self, time):
         return ()
 
 

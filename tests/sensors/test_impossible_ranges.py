@@ -30,7 +30,7 @@ def verdicts(sensor, readings):
     rig = Rig(Still(walk=0.0), (Installation("radio", sensor),), prior)
     log = Log(
         Schedule(jnp.arange(1.0, count + 1.0), jnp.zeros(count, int), jnp.arange(count)),
-        Still().drive(0.0),
+        Still().nominal_control(0.0),
         (Readings(values, jnp.zeros(count, int)),),
     )
     found = estimate(ExtendedKalman(), rig, log)

@@ -32,7 +32,7 @@ def test_the_filter_finds_what_the_snapshot_finds():
     rig = Rig(Still(walk=0.0), (sensor,), prior)
     log = Log(
         Schedule(jnp.arange(1.0, 4.0), jnp.zeros(3, int), jnp.arange(3)),
-        Still().drive(0.0),
+        Still().nominal_control(0.0),
         (Readings(Measurement(jnp.asarray(differences)), jnp.arange(3)),),
     )
     found = estimate(IteratedExtendedKalman(), rig, log).moments.mean.position[-1]

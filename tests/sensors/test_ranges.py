@@ -13,7 +13,7 @@ from kedge.estimation.rig import Installation, Mount, Rig
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.ranges import Anchor, Measurement, Ranges, Ranges3, Reads3
 from kedge.testing import check_sensor, quick_jit
-from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.augmented import Drift, augment
 from kedge.vehicles.unicycle import State as Pose
 from kedge.vehicles.unicycle import Unicycle
 
@@ -43,7 +43,7 @@ std = { position = 1, heading = 0.1 }
 
 def seen(sensor, state, index=0):
     return quick_jit(
-        lambda s: (sensor.facing(index).expect(s), sensor.facing(index).noise_cov(s))
+        lambda s: (sensor.for_target(index).expect(s), sensor.for_target(index).noise_cov(s))
     )(state)
 
 
@@ -84,7 +84,7 @@ def test_the_contract_holds_with_biases(sensor):
 
 def test_each_anchor_has_its_own_bias():
     radio = Ranges(target=Anchor(PLACES), range_std=0.1, biases="own")
-    vehicle = augment(Unicycle(), {"own": Wander()}, (radio,))
+    vehicle = augment(Unicycle(), {"own": Drift()}, (radio,))
     start = vehicle.start()._replace(own=jnp.array([0.0, 0.5]))
     rig = Rig(vehicle, (Installation("radio", radio),), Gaussian(start, jnp.eye(5)))
     assert type(start)._fields == ("position", "heading", "own")
@@ -92,7 +92,7 @@ def test_each_anchor_has_its_own_bias():
     np.testing.assert_allclose(seen(radio, start, 1)[0].range, 0.5)
 
     posterior, _ = quick_jit(ExtendedKalman().update)(
-        radio.facing(0), rig.prior, Measurement(jnp.array(5.2)), jnp.zeros(2, jnp.uint32)
+        radio.for_target(0), rig.prior, Measurement(jnp.array(5.2)), jnp.zeros(2, jnp.uint32)
     )
     # The anchor's own bias has the prior variance 1, so has the range in the position.
     np.testing.assert_allclose(posterior.mean.own, [0.2 / 2.01, 0.5])
@@ -100,7 +100,7 @@ def test_each_anchor_has_its_own_bias():
 
 def test_an_anchor_under_the_tag_is_no_trouble():
     posterior, innovation = quick_jit(ExtendedKalman().update)(
-        Ranges(target=Anchor(PLACES)).facing(1),
+        Ranges(target=Anchor(PLACES)).for_target(1),
         Gaussian(POSE, jnp.eye(3)),
         Measurement(jnp.array(0.4)),
         jnp.zeros(2, jnp.uint32),

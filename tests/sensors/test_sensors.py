@@ -39,38 +39,38 @@ def test_velocity_is_that_of_the_map_frame():
 def test_a_landmark_is_seen_from_the_body():
     """3 east, 4 north of a vehicle that looks north: 5 m away, to the right, so negative."""
     sensor = landmarks.Landmarks(target=MAP, range_std=0.1, range_std_per_metre=0.02)
-    z, cov = seen(sensor.facing(0), POSE)
+    z, cov = seen(sensor.for_target(0), POSE)
     np.testing.assert_allclose(z.range, 5)
     np.testing.assert_allclose(z.bearing, -np.arctan2(3, 4))
     np.testing.assert_allclose(cov, np.diag([(0.1 + 0.02 * 5) ** 2, 0.02**2]))
 
 
 def test_a_landmark_to_the_left_has_a_positive_bearing():
-    z, _ = seen(landmarks.Landmarks(target=MAP).facing(2), POSE)
+    z, _ = seen(landmarks.Landmarks(target=MAP).for_target(2), POSE)
     np.testing.assert_allclose([z.range, z.bearing], [3, np.pi / 2])
 
 
 def test_scale_and_bias_come_with_the_state():
     state = landmarks.Reads(*POSE, range_scale=jnp.array(1.1), bearing_bias=jnp.array(0.2))
-    z, _ = seen(landmarks.Landmarks(target=MAP).facing(2), state)
+    z, _ = seen(landmarks.Landmarks(target=MAP).for_target(2), state)
     np.testing.assert_allclose([z.range, z.bearing], [3.3, np.pi / 2 + 0.2])
 
 
 def test_a_camera_gives_the_depth_along_its_axis():
     sensor = landmark_camera.LandmarkCamera(target=MAP)
-    z, _ = seen(sensor.facing(0), POSE)
+    z, _ = seen(sensor.for_target(0), POSE)
     np.testing.assert_allclose([z.depth, z.bearing], [4, -np.arctan2(3, 4)], rtol=1e-12)
     state = landmark_camera.Reads(
         *POSE, depth_scale=jnp.array(0.9), bearing_bias=jnp.array(0.2)
     )
-    z, _ = seen(sensor.facing(0), state)
+    z, _ = seen(sensor.for_target(0), state)
     # The bias is the camera's, not the world's: the depth does not turn with it.
     np.testing.assert_allclose([z.depth, z.bearing], [3.6, 0.2 - np.arctan2(3, 4)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("make", [landmarks.Landmarks, landmark_camera.LandmarkCamera])
 def test_a_landmark_underfoot_is_seen_all_the_same(make):
-    z, cov = seen(make(target=MAP).facing(1), POSE)
+    z, cov = seen(make(target=MAP).for_target(1), POSE)
     np.testing.assert_allclose(z[0], 0, atol=1e-8)
     assert np.isfinite(z.bearing)
     assert np.isfinite(cov).all()

@@ -22,7 +22,7 @@ ANCHORS = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
 @pytest.mark.parametrize("distance", [0.0, 0.05, 20.0])
 def test_moments_are_those_of_squared_draws(distance):
     draws = np.random.default_rng(3).normal(distance, 0.05, 200_000) ** 2
-    sensor = SquaredRanges(range_std=0.05).facing(0)
+    sensor = SquaredRanges(range_std=0.05).for_target(0)
     here = Reads(jnp.array([distance, 0.0]))
     error = draws.std() / np.sqrt(len(draws))
     assert float(sensor.observe(here).squared_range) == pytest.approx(
@@ -96,7 +96,9 @@ def test_the_process_noise_is_the_continuous_one():
     def moved(noise):
         calm = vehicle.noise_density()
         parts = type(calm)(noise[:2], noise[2:])
-        return jnp.concatenate(vehicle.step(vehicle.start(), vehicle.drive(0.0), parts, dt))
+        return jnp.concatenate(
+            vehicle.step(vehicle.start(), vehicle.nominal_control(0.0), parts, dt)
+        )
 
     G = jax.jacfwd(moved)(jnp.zeros(4)) * process_std(vehicle, dt)[None]
     unit = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

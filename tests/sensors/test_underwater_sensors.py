@@ -13,7 +13,7 @@ from kedge.sensors.body_velocity import BodyVelocity
 from kedge.sensors.depth import Depth, Reads
 from kedge.sensors.gyroscope import Gyroscope
 from kedge.testing import quick_jit
-from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.augmented import Drift, augment
 from kedge.vehicles.body_twist import BodyTwist, State
 
 # Nose to the north-east, 20 degrees up, 10 degrees over to the right.
@@ -92,7 +92,7 @@ def test_usbl_hears_range_bearing_and_elevation():
     where = np.array([[23.0, -12.0, -45.0]])
     sensor = usbl.Usbl(usbl.Transponder(where), range_std=0.1, range_std_per_metre=0.01)
     seen, cov = looks(
-        sensor.facing(0), usbl.Reads(BODY.position, BODY.attitude, jnp.array(1.001))
+        sensor.for_target(0), usbl.Reads(BODY.position, BODY.attitude, jnp.array(1.001))
     )
     offset = TURN.inv().apply(where[0] - np.asarray(BODY.position))
     distance = np.linalg.norm(where[0] - np.asarray(BODY.position))
@@ -105,10 +105,10 @@ def test_usbl_hears_range_bearing_and_elevation():
 
 def test_slow_quantities_of_a_navigation_filter():
     slow = dict.fromkeys(
-        ["doppler_scale", "doppler_misalignment", "current", "gyroscope_bias"], Wander(0.1)
+        ["doppler_scale", "doppler_misalignment", "current", "gyroscope_bias"], Drift(0.1)
     )
     sensors = [doppler.Doppler(), doppler.DopplerThroughWater(), Gyroscope()]
     state = type(augment(BodyTwist(), slow, sensors).start())
     assert space_of(state).size == 12 + 1 + 3 + 3 + 3
     with pytest.raises(ContractError, match="'doppler_arms' is neither a parameter"):
-        augment(BodyTwist(), {"doppler_arms": Wander()}, sensors)
+        augment(BodyTwist(), {"doppler_arms": Drift()}, sensors)

@@ -29,7 +29,7 @@ from kedge.simulation.fault_kinds import (
     Quantisation,
     Stuck,
 )
-from kedge.simulation.faults import Episodes, Fault, complaint
+from kedge.simulation.faults import Episodes, Fault, validation_error
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import simulate
 from kedge.simulation.worlds.lane_keeping import LaneKeeping
@@ -259,4 +259,4 @@ def test_two_of_one_name_and_what_a_loop_cannot_have():
 
 def test_a_sensor_of_one_component_is_chosen_by_its_field():
     fault = Fault("it", "gps", Bias(component="position"))
-    assert complaint(fault, {"gps": space_of(Gnss.measures)}) is None
+    assert validation_error(fault, {"gps": space_of(Gnss.measures)}) is None

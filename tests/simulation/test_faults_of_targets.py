@@ -15,8 +15,8 @@ TARGETS = np.arange(12) % 3
 
 def test_only_what_is_read_of_these_targets_is_lost():
     fault = Fault("shelf", "radio", Dropout(), ((0.2, 0.9),), targets=(1, 2))
-    (trouble,) = drawn((fault,), "radio", TIMES, TARGETS, 1, jr.key(0))
-    lost = np.asarray(trouble.drawn)[:, 0]
+    (drawn_fault,) = drawn((fault,), "radio", TIMES, TARGETS, 1, jr.key(0))
+    lost = np.asarray(drawn_fault.drawn)[:, 0]
     inside = (TIMES >= 0.2) & (TIMES < 0.9)
     np.testing.assert_array_equal(lost, inside & (TARGETS > 0))
 

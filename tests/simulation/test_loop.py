@@ -17,7 +17,7 @@ from kedge.filters.ensemble.stochastic import EnsembleKalman
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.tracking_error import TrackingError
 from kedge.simulation.loop import start_near
-from kedge.simulation.scenario import Navigator, Scenario
+from kedge.simulation.scenario import LoopFilter, Scenario
 from kedge.simulation.simulate import schedule, simulate, with_readings
 from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.vehicles.constant_velocity import ConstantVelocity
@@ -35,8 +35,8 @@ SCENARIO = Scenario(RIG, duration=1.2, dt=0.02, world=LaneKeeping())
 
 
 def in_a_loop(feedback, filter=None, key=None):
-    pilot = None if filter is None else Navigator(filter, key=key, error=0.5 * jnp.ones(5))
-    return dataclasses.replace(SCENARIO, feedback=feedback, navigator=pilot)
+    pilot = None if filter is None else LoopFilter(filter, key=key, error=0.5 * jnp.ones(5))
+    return dataclasses.replace(SCENARIO, feedback=feedback, loop_filter=pilot)
 
 
 @pytest.mark.parametrize(

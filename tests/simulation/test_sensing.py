@@ -42,7 +42,7 @@ def recorded(tmp_path, **changes):
 
 
 def test_a_sweep_reads_every_target_each_time(tmp_path):
-    log, _ = recorded(tmp_path, **{"sensors.radio.sweep": "true"})
+    log, _ = recorded(tmp_path, **{"sensors.radio.all_targets": "true"})
     radio = np.asarray(log.schedule.sensor) == 0
     times = np.asarray(log.schedule.time)[radio].reshape(-1, 3)
     np.testing.assert_allclose(times, np.arange(1.0, 41.0)[:, None] * np.ones(3))
@@ -61,7 +61,7 @@ def test_what_a_sensor_really_is_filters_do_not_know(tmp_path):
     """Filters take it for one of 100 m^2; it scatters by 2 d 0.1 m."""
     believed = {"sensors.radio.parameters": "{ range_std = 0.1, squared_std = 100.0 }"}
     log, installed = recorded(
-        tmp_path, **believed, **{"sensors.radio.really": "{ squared_std = 0.0 }"}
+        tmp_path, **believed, **{"sensors.radio.true_parameters": "{ squared_std = 0.0 }"}
     )
     spread = np.asarray(log.readings[0].measurement.squared_range)[::3].std()
     assert spread == pytest.approx(2 * FAR[0] * 0.1, rel=0.6)
@@ -69,7 +69,7 @@ def test_what_a_sensor_really_is_filters_do_not_know(tmp_path):
 
 
 def test_a_sweep_without_targets_is_refused(tmp_path):
-    changes = {"sensors.radio.model": '"gnss"', "sensors.radio.sweep": "true"}
+    changes = {"sensors.radio.model": '"gnss"', "sensors.radio.all_targets": "true"}
     path = tmp_path / "own.toml"
     path.write_text(
         SCENARIO.replace('map = "anchors"\n', "").replace("{ range_std = 0.1 }", "{}")
@@ -79,5 +79,5 @@ def test_a_sweep_without_targets_is_refused(tmp_path):
 
 
 def test_an_unknown_parameter_of_what_it_really_is(tmp_path):
-    with pytest.raises(ConfigError, match=r"really\.colour"):
-        recorded(tmp_path, **{"sensors.radio.really": "{ colour = 1.0 }"})
+    with pytest.raises(ConfigError, match=r"true_parameters\.colour"):
+        recorded(tmp_path, **{"sensors.radio.true_parameters": "{ colour = 1.0 }"})

@@ -49,8 +49,8 @@ def digest(folder):
 def interrupted_after(count, engine):
     """An engine that Ctrl-C ends."""
 
-    def run(job, numbers, say):
-        for done, chunk in enumerate(engine(job, numbers, say)):
+    def run(job, numbers, progress):
+        for done, chunk in enumerate(engine(job, numbers, progress)):
             if done == count:
                 raise KeyboardInterrupt
             yield chunk

@@ -14,7 +14,7 @@ from kedge.estimation.rig import Installation, Rig
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.sensors.tracking_error import TrackingError
-from kedge.simulation.scenario import Navigator, Scenario
+from kedge.simulation.scenario import LoopFilter, Scenario
 from kedge.simulation.simulate import simulate
 from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.studies.scores import Tally, pack, unpack
@@ -53,12 +53,12 @@ def test_what_a_filter_is_scored_on_is_what_was_steered_by(own):
     """The last command follows from the scored estimate before it, in the scored truth."""
     study, part = own
     run = jr.fold_in(stream(4, "truth"), 0)
-    pilot = Navigator(
+    pilot = LoopFilter(
         Kalman(),
         key=jr.fold_in(stream(4, "filter kalman"), 0),
         error=jr.normal(jr.fold_in(stream(4, "prior"), 0), (5,)),
     )
-    scenario = dataclasses.replace(study.scenario_of("kalman"), navigator=pilot)
+    scenario = dataclasses.replace(study.scenario_of("kalman"), loop_filter=pilot)
     again = simulate(scenario, run)
     piece = part.pieces["kalman"]
     np.testing.assert_allclose(again.truth.offset, piece.track["offset"], atol=1e-9)
@@ -74,8 +74,8 @@ def test_what_a_filter_is_scored_on_is_what_was_steered_by(own):
 @pytest.mark.slow
 def test_all_filters_in_the_loop_of_one(own):
     """The truth is that of the filter named, and so are the estimates under its name."""
-    pilot = Navigator(ExtendedKalman(), "extended")
-    scenario = dataclasses.replace(SCENARIO, navigator=pilot)
+    pilot = LoopFilter(ExtendedKalman(), "extended")
+    scenario = dataclasses.replace(SCENARIO, loop_filter=pilot)
     study = own[0]._replace(scenario=scenario)
     filters = {"kalman": Kalman(), "extended": ExtendedKalman()}
     part = Trials(study, filters, 2).part(0)

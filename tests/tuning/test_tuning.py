@@ -253,7 +253,9 @@ def test_a_log_rearranged_is_the_log_assembled_with_that_latency():
     random = np.random.default_rng(0)
     told = np.sort(random.integers(1, 10 * SECOND, 40))
     told[0] = 0
-    controls = type(vehicle.drive(0.0))(random.normal(size=40), random.normal(size=40))
+    controls = type(vehicle.nominal_control(0.0))(
+        random.normal(size=40), random.normal(size=40)
+    )
     sensor = Gnss()
     stamps = np.sort(random.integers(1 * SECOND, 9 * SECOND, 30))
     place = sensor.measures(random.normal(size=(30, 2)))

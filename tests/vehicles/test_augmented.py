@@ -1,4 +1,4 @@
-"""Slow quantities beside a vehicle's state."""
+"""Augmented states beside a vehicle's state."""
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,14 @@ from kedge.filters.gaussian.square_root import SqrtGaussian
 from kedge.sensors.gnss import Gnss
 from kedge.sensors.landmarks import Landmarks
 from kedge.testing import quick_jit
-from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.augmented import Drift, augment
 from kedge.vehicles.constant_velocity import ConstantVelocity
 from kedge.vehicles.unicycle import Control, Unicycle
 
 SLOW = {
-    "speed_scale": Wander(0.05),
-    "range_scale": Wander(0.01, time_constant=2.0),
-    "bearing_bias": Wander(),
+    "speed_scale": Drift(0.05),
+    "range_scale": Drift(0.01, time_constant=2.0),
+    "bearing_bias": Drift(),
 }
 
 
@@ -88,12 +88,12 @@ def test_the_state_type_is_one_for_equal_arguments(vehicle):
 )
 def test_a_slow_quantity_that_nothing_reads_is_refused(model, slow, message):
     with pytest.raises(ContractError, match=message):
-        augment(model, {slow: Wander()}, (Gnss(), Landmarks()))
+        augment(model, {slow: Drift()}, (Gnss(), Landmarks()))
 
 
 def test_a_reading_with_a_wrong_scale_is_told_by_the_state(vehicle):
     state = vehicle.start()._replace(position=jnp.array([17.0, 26.0]), range_scale=1.1)
-    seen = quick_jit(lambda s: Landmarks().facing(0).expect(s))(state)
+    seen = quick_jit(lambda s: Landmarks().for_target(0).expect(s))(state)
     np.testing.assert_allclose(seen.range, 1.1 * 5)  # the landmark stands 3 m east, 4 m north
 
 
@@ -111,7 +111,7 @@ def forms_of(belief):
 
 
 def test_who_is_lost_keeps_his_instruments(vehicle):
-    """Widening multiplies the vehicle's own covariance; that of slow quantities stays."""
+    """Widening multiplies the vehicle's own covariance; that of augmented states stays."""
     size = space(vehicle.start()).size
     factor = np.random.default_rng(0).normal(size=(size, size))
     belief = Gaussian(vehicle.start(), jnp.asarray(0.001 * factor @ factor.T))

@@ -314,11 +314,11 @@ def datasets_list(as_json: Json = False) -> None:
 @datasets_app.command("fetch")
 def datasets_fetch(name: str) -> None:
     """Download a data set from its original source, and check every file."""
-    from kedge.apps.console import progress
+    from kedge.apps.console import console_progress
     from kedge.datasets.fetch import dataset, fetch
 
-    with progress() as say:
-        say(f"{name}: {dataset(name).url}")
+    with console_progress() as progress:
+        progress(f"{name}: {dataset(name).url}")
         folder = fetch(name)
     print(folder)
 

@@ -26,7 +26,7 @@ class Interrupted(KedgeError):
 
 
 @contextlib.contextmanager
-def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
+def console_progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Give a function that says what is being done; a spinner on a terminal, else lines."""
     if quiet:
         yield lambda text: None

@@ -20,7 +20,7 @@ def describe(cls: type) -> dict[str, Any]:
     if issubclass(cls, AbstractVehicle):
         vehicle = cls()
         about["state"] = components(vehicle.start())
-        about["control"] = components(vehicle.drive(0.0))
+        about["control"] = components(vehicle.nominal_control(0.0))
         about["noise"] = components(vehicle.noise_density())
     if issubclass(cls, AbstractSensor):
         optional = cls.reads._field_defaults

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kedge import __version__
-from kedge.apps.console import progress
+from kedge.apps.console import console_progress
 from kedge.apps.workflow import load
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem
@@ -63,7 +63,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
     problem = load(rig, log, options.truth, options.until, options.changes)
     heard = epochs_in(problem, options.sensor, options.window)
     position = problem.rig.prior.mean.position
-    with fresh_folder(out, "summary.json") as folder, progress() as say:
+    with fresh_folder(out, "summary.json") as folder, console_progress() as progress:
         fixes, scores = {}, {}
         truth = known = None
         if problem.truth is not None and "position" in problem.truth.fields:
@@ -71,7 +71,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
             found, known = truth_at(problem.truth, heard.time, {"position": charts["position"]})
             truth = found["position"]
         for name, solver in solvers.items():
-            say(f"{name}: {len(heard.time)} epochs")
+            progress(f"{name}: {len(heard.time)} epochs")
             fixes[name] = jax.tree.map(np.asarray, solve_all(solver, heard.links, position))
             scores[name] = score_fixes(fixes[name], truth, known)
             stem = f"fixes_{''.join(c if c.isalnum() or c in '-=' else '_' for c in name)}.csv"
@@ -96,7 +96,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
         write_summary(folder / "summary.json", summary)
         write_table(folder / "table.csv", scores)
         if options.report:
-            say("drawing the report")
+            progress("drawing the report")
             shown = None if truth is None or known is None else truth[known]
             _report(folder, problem, heard, fixes, scores, shown)
     return plain(summary)

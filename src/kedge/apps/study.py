@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kedge.apps.console import Interrupted, check_requirements, progress
+from kedge.apps.console import Interrupted, check_requirements, console_progress
 from kedge.apps.study_output import content_of, score_names, summary_of, write_study
 from kedge.apps.workflow import settings
 from kedge.config.filters import split_names
@@ -67,20 +67,20 @@ def execute(name: str, options: Options) -> dict[str, Any]:
         check_requirements(options.require, job.filters, names)
     chunks = range(chunks_of(job.runs, job.chunk))
     mine = list(chunks) if shard is None else list(chunks)[shard[0] - 1 :: shard[1]]
-    with tempfile.TemporaryDirectory() as scratch, progress() as say:
+    with tempfile.TemporaryDirectory() as scratch, console_progress() as progress:
         kept = options.out is not None
         place = options.out if options.out is not None else Path(scratch) / "study"
         folder = ChunkFolder(place, _study(job, shard), options.resume, options.force)
         done = set(folder.done())
         left = [number for number in mine if number not in done]
         if done:
-            say(f"{len(mine) - len(left)} of {len(mine)} chunks are there already")
+            progress(f"{len(mine) - len(left)} of {len(mine)} chunks are there already")
         if left:
-            check(job, say)
+            check(job, progress)
         try:
-            for count, (number, arrays) in enumerate(engine(job, left, say), 1):
+            for count, (number, arrays) in enumerate(engine(job, left, progress), 1):
                 folder.save(number, arrays)
-                say(f"{len(mine) - len(left) + count} of {len(mine)} chunks done")
+                progress(f"{len(mine) - len(left) + count} of {len(mine)} chunks done")
         except KeyboardInterrupt:
             there = len(set(folder.done()) & set(mine)) if kept else 0
             kept_text = f"{there} of {len(mine)} chunks are kept in {place}; --resume goes on"
@@ -94,7 +94,7 @@ def execute(name: str, options: Options) -> dict[str, Any]:
                 "digest": study_digest(folder.study),
                 "filters": {},
             }
-        return finish(job, folder, say if kept and options.report else None)
+        return finish(job, folder, progress if kept and options.report else None)
 
 
 def merge(
@@ -129,8 +129,8 @@ def merge(
         )
     for number in whole:
         folder.save(number, there[number].load(number))
-    with progress() as say:
-        return finish(job, folder, say if report else None)
+    with console_progress() as progress:
+        return finish(job, folder, progress if report else None)
 
 
 def finish(

@@ -171,23 +171,23 @@ def print_study(summary: Mapping[str, Any]) -> None:
     for source in sorted({entry["source"] for entry in entries}):
         console.print(f"published: {source}", markup=False, soft_wrap=True)
 
-    def say(*lines: str) -> None:
+    def progress(*lines: str) -> None:
         for line in lines:
             console.print(line, markup=False, soft_wrap=True)
 
     for entry in summary.get("quoted", ()):
         here = "not here" if entry["here"] is None else f"here {entry['here']:.4g}"
-        say(f"{entry['source']}: {entry['score']} {entry['value']:g}; {here}")
+        progress(f"{entry['source']}: {entry['score']} {entry['value']:g}; {here}")
     for band in summary.get("expected", ()):
         mark = {TRUE: "as expected", FALSE: "NOT as expected"}.get(band["verdict"], OPEN)
-        say(f"{mark}: {band['score']} {band['figures']}")
+        progress(f"{mark}: {band['score']} {band['figures']}")
     for claim in summary.get("claims", ()):
-        say("", f"claim: {claim['text']} ({claim['source']})")
-        say(f"  {claim['verdict']}: {claim['figures']}")
+        progress("", f"claim: {claim['text']} ({claim['source']})")
+        progress(f"  {claim['verdict']}: {claim['figures']}")
         if claim["means"]:
-            say(f"  {claim['means']}")
+            progress(f"  {claim['means']}")
     if summary.get("errata"):
-        say("", "errata:", *(f"  {text}" for text in summary["errata"]))
+        progress("", "errata:", *(f"  {text}" for text in summary["errata"]))
 
 
 def _covered(row: Mapping[str, Any]) -> str:

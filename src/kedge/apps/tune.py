@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge import __version__
-from kedge.apps.console import progress
+from kedge.apps.console import console_progress
 from kedge.apps.workflow import load, settings
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, load_problem
@@ -70,10 +70,12 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
     search = Search(options.starts, options.span, bounds, options.seed)
     duration = float(problem.recording.log.schedule.time[-1])
     until = duration * (1 - options.hold_out)
-    with fresh_folder(out, "tune.json") as folder, progress() as say:
+    with fresh_folder(out, "tune.json") as folder, console_progress() as progress:
         truth = problem.truth if options.with_truth else None
-        tuned = tune(filter, problem.rig, problem.recording, chosen, truth, until, search, say)
-        say("scores")
+        tuned = tune(
+            filter, problem.rig, problem.recording, chosen, truth, until, search, progress
+        )
+        progress("scores")
         overrides = settings(options.changes) | {"filter.name": f'"{spec}"'}
         overrides |= {t.key: repr(float(v)) for t, v in zip(chosen, tuned.values, strict=True)}
         after = load_problem(rig, log, "auto", options.until, overrides)

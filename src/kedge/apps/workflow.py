@@ -13,7 +13,7 @@ import jax.random as jr
 import numpy as np
 
 from kedge import __version__
-from kedge.apps.console import progress
+from kedge.apps.console import console_progress
 from kedge.apps.output import write_results
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, load_problem
@@ -42,8 +42,8 @@ def load(
         KedgeError: either cannot be used; one message says where and why.
     """
     overrides = settings(changes)
-    with progress() as say:
-        say(f"reading {log}")
+    with console_progress() as progress:
+        progress(f"reading {log}")
         problem = load_problem(rig, log, truth=truth, until=until, overrides=overrides)
     for note in problem.notes:
         print(f"note: {note}", file=sys.stderr)
@@ -64,8 +64,8 @@ def execute(
         KedgeError: a filter cannot run, or the folder cannot be written; nothing is left.
     """
     use_compilation_cache()
-    with fresh_folder(out, "summary.json") as folder, progress() as say:
-        runs = run_filters(problem, names, seed, say)
+    with fresh_folder(out, "summary.json") as folder, console_progress() as progress:
+        runs = run_filters(problem, names, seed, progress)
         facts = {
             "command": command,
             "arguments": sys.argv[1:],
@@ -75,16 +75,16 @@ def execute(
             "platform": f"Python {platform.python_version()}, {platform.machine()}",
         }
         summary = summarise(problem, runs, facts)
-        say("writing results")
+        progress("writing results")
         write_results(folder, problem, runs, summary)
         if report:
-            say("drawing the report")
+            progress("drawing the report")
             write_report(folder, content_of(problem, runs, summary))
     return plain(summary)
 
 
 def run_filters(
-    problem: Problem, names: Sequence[str], seed: int, say: Callable[[str], None]
+    problem: Problem, names: Sequence[str], seed: int, progress: Callable[[str], None]
 ) -> list[Run]:
     """Run every filter named over the log; ``NAME+smoother`` is the smoothed pass of NAME.
 
@@ -101,19 +101,19 @@ def run_filters(
         base = name.removesuffix(SMOOTHER)
         keep = f"{base}{SMOOTHER}" in filters
         if base not in done:
-            say(f"{base}: compiling")
+            progress(f"{base}: compiling")
             call = compile_estimate(
                 chosen, problem.rig, problem.recording.log, keep, jr.key(seed)
             )
-            say(f"{base}: {len(problem.recording.stamps)} events")
+            progress(f"{base}: {len(problem.recording.stamps)} events")
             (found, history), seconds = _timed(call)
             done[base] = found, history, seconds
         estimates, history, seconds = done[base]
         if name.endswith(SMOOTHER):
-            say(f"{name}: backwards")
+            progress(f"{name}: backwards")
             moments, more = _timed(compile_smoother(estimates.moments, history))
             estimates, seconds = estimates._replace(moments=moments), seconds + more
-        say(f"{name}: scores")
+        progress(f"{name}: scores")
         run = score(
             name,
             estimates,
@@ -128,7 +128,7 @@ def run_filters(
         if not name.endswith(SMOOTHER):
             verdicts = np.asarray(estimates.outcome.verdict)
             for concern in concerns(name, run.scores["health"], verdicts):
-                say(concern)
+                progress(concern)
     _against_baseline(runs)
     return runs
 

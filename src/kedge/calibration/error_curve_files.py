@@ -22,7 +22,7 @@ class CurveConfig(Strict):
     aic: float
     samples: int
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """An unknown family, a mean or deviation that is not that of the parameters."""
         if self.family not in FAMILIES:
             yield f"family: {unknown('family of error curves', self.family, list(FAMILIES))}"

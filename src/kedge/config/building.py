@@ -18,16 +18,16 @@ from kedge.core.registry import sensors, unknown, vehicles
 from kedge.estimation.rig import Installation, Mount, Rig, check_reads
 from kedge.formats.logs import TargetMap
 from kedge.numerics.losses import Loss
-from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.augmented import Drift, augment
 
 
 def build_vehicle(
     config: AbstractRigConfig, maps: Mapping[str, TargetMap] | None = None
 ) -> tuple[AbstractVehicle, AbstractVehicle]:
-    """The vehicle without and with its slow states, once every sensor is known to fit it.
+    """The vehicle without and with its augmented states, once every sensor is known to fit it.
 
     Without ``maps``, before a log is read, sensors have the maps of their defaults: enough to
-    see what does not fit, but a slow state may have a component for each target of a map.
+    see what does not fit, but an augmented state may have a component for each target of a map.
 
     Raises:
         ContractError: the vehicle refuses its parameters, or a sensor reads what it has not.
@@ -39,11 +39,11 @@ def build_vehicle(
             name: build_model(sensors.get(spec.model), spec.parameters)
             for name, spec in config.sensors.items()
         }
-        slow = {
-            name: Wander(slow.walk, slow.time_constant or float("inf"))
-            for name, slow in config.vehicle.slow.items()
+        augmented = {
+            name: Drift(augmented.random_walk, augmented.time_constant or float("inf"))
+            for name, augmented in config.vehicle.augmented.items()
         }
-        vehicle = augment(bare, slow, list(plain.values()))
+        vehicle = augment(bare, augmented, list(plain.values()))
         for name, sensor in plain.items():
             installation = build_installation(config, name, sensor)
             check_reads(installation, type(vehicle.start()), type(bare).__name__)
@@ -56,13 +56,21 @@ def build_installation(
     config: AbstractRigConfig,
     name: str,
     sensor: AbstractSensor,
-    really: AbstractSensor | None = None,
+    true_sensor: AbstractSensor | None = None,
 ) -> Installation:
-    """A sensor as it is installed: rate, latency, gate, mount, noise; what it ``really`` is."""
+    """A sensor as it is installed: rate, latency, gate, mount, noise."""
     spec = config.sensors[name]
     mount = None if spec.mount is None else Mount(**spec.mount.model_dump())
     robust = spec.robust and Loss(spec.robust.loss, spec.robust.tuning, spec.robust.side)
-    gates = spec.gate, mount, robust, spec.recovery, spec.allowed_silence, spec.sweep, really
+    gates = (
+        spec.gate,
+        mount,
+        robust,
+        spec.recovery,
+        spec.allowed_silence,
+        spec.all_targets,
+        true_sensor,
+    )
     return Installation(name, sensor, spec.rate, spec.latency, *gates)
 
 
@@ -117,7 +125,9 @@ def build_prior(
         given[field] = jnp.asarray(full.reshape(charts[field].shape))
     given |= {field: jnp.asarray(value) for field, value in known.items()}
     own = space_of(type(bare.start()))
-    stds = dict(prior.std) | {name: [slow.std] for name, slow in config.vehicle.slow.items()}
+    stds = dict(prior.std) | {
+        name: [augmented.std] for name, augmented in config.vehicle.augmented.items()
+    }
     cov = np.zeros((space_of(type(mean)).size,) * 2)
     for field, cut in space_of(type(mean)).slices().items():
         if field in stds:
@@ -134,7 +144,7 @@ def check_noise(config: AbstractRigConfig, rig: Rig) -> None:
         ContractError: a standard deviation is not above 0, or a density is below 0.
     """
     for installation in rig.sensors:
-        sensor = installation.sensor.facing(0)
+        sensor = installation.sensor.for_target(0)
         std = sensor.noise_std(sensor.project(rig.prior.mean))
         for field, value in std._asdict().items():
             if not np.all(np.asarray(value) > 0):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kedge.config.models import Parameter, build_model, model_complaints
+from kedge.config.models import Parameter, build_model, model_errors
 from kedge.config.rigs import Finite, Positive
 from kedge.core.errors import ContractError
 from kedge.core.registry import faults
@@ -38,9 +38,9 @@ class FaultConfig(Strict):
     windows: list[Span] = []
     episodes: EpisodesConfig | None = None
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Unknown names, and what the fault refuses."""
-        wrong = list(model_complaints(faults, self.model, self.parameters))
+        wrong = list(model_errors(faults, self.model, self.parameters))
         yield from wrong
         if not wrong:
             try:

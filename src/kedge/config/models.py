@@ -34,7 +34,7 @@ def build_model(cls: type, parameters: Mapping[str, Parameter], **others: Any) -
     return cls(**fitting, **others)
 
 
-def model_complaints(
+def model_errors(
     registry: Registry, name: str, parameters: Mapping[str, Parameter]
 ) -> Iterator[str]:
     """Unknown names and values of the wrong kind, each as ``key: message``."""
@@ -44,14 +44,14 @@ def model_complaints(
         yield f"model: {error}"
         return
     kinds = kinds_of(cls)
-    yield from _value_complaints(name, kinds, parameters)
+    yield from _value_errors(name, kinds, parameters)
     for field in dataclasses.fields(cls):
         missing = field.default is dataclasses.MISSING and field.name in kinds
         if missing and field.name not in parameters:
             yield f"parameters.{field.name}: this key is missing"
 
 
-def _value_complaints(
+def _value_errors(
     name: str, kinds: Mapping[str, type], parameters: Mapping[str, Parameter]
 ) -> Iterator[str]:
     for key, value in parameters.items():

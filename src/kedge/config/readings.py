@@ -84,7 +84,7 @@ def read_controls(
         DataError: a column is missing, of another unit or not complete, or an inertial
             measurement unit cannot have read this.
     """
-    cls = type(vehicle.drive(0.0))
+    cls = type(vehicle.nominal_control(0.0))
     if config.control is None:
         return np.zeros(0, np.int64), cls()
     table = find_table(raw, config.control.source, f"{config.origin}: control.source")

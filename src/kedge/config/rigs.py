@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 
 from kedge.config.filters import build_filter
 from kedge.config.inheritance import completed
-from kedge.config.models import Parameter, build_model, model_complaints
+from kedge.config.models import Parameter, build_model, model_errors
 from kedge.config.plugins import load_modules
 from kedge.core.errors import ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
@@ -39,11 +39,11 @@ Numbers = Annotated[list[Finite], BeforeValidator(_listed), WithJsonSchema(_NUMB
 Spreads = Annotated[list[Positive], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
 
 
-class SlowConfig(Strict):
+class AugmentedConfig(Strict):
     """A slowly varying quantity that is estimated with the state."""
 
     std: Positive
-    walk: Annotated[Finite, Field(ge=0)] = 0.0
+    random_walk: Annotated[Finite, Field(ge=0)] = 0.0
     time_constant: Positive | None = None
 
 
@@ -52,11 +52,11 @@ class VehicleConfig(Strict):
 
     model: str
     parameters: dict[str, Parameter] = {}
-    slow: dict[str, SlowConfig] = {}
+    augmented: dict[str, AugmentedConfig] = {}
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Unknown names."""
-        yield from model_complaints(vehicles, self.model, self.parameters)
+        yield from model_errors(vehicles, self.model, self.parameters)
 
 
 class ControlConfig(Strict):
@@ -98,8 +98,8 @@ class SensorConfig(Strict):
     parameters: dict[str, Parameter] = {}
     latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
     rate: Positive | None = None
-    sweep: bool = False
-    really: dict[str, Parameter] = {}
+    all_targets: bool = False
+    true_parameters: dict[str, Parameter] = {}
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
     robust: RobustConfig | None = None
     recovery: Positive | None = None
@@ -108,15 +108,15 @@ class SensorConfig(Strict):
     std: dict[str, str] = {}
     covariance: list[str] | None = None
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Unknown names, and keys that do not go together."""
-        wrong = list(model_complaints(sensors, self.model, self.parameters))
+        wrong = list(model_errors(sensors, self.model, self.parameters))
         yield from wrong
         if wrong and wrong[0].startswith("model"):
             return
-        for line in model_complaints(sensors, self.model, self.parameters | self.really):
+        for line in model_errors(sensors, self.model, self.parameters | self.true_parameters):
             if line not in wrong:
-                yield line.replace("parameters.", "really.", 1)
+                yield line.replace("parameters.", "true_parameters.", 1)
         cls = sensors.get(self.model)
         parts = list(space_of(cls.measures).column_units)
         for key in ("columns", "std"):
@@ -147,7 +147,7 @@ class MapConfig(Strict):
     ids: list[str]
     columns: dict[str, list[Finite]]
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Columns of another length, targets that are listed twice."""
         for name, values in self.columns.items():
             if len(values) != len(self.ids):
@@ -172,7 +172,7 @@ class FilterConfig(Strict):
 
     name: str = "extended"
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """What is wrong with the name."""
         try:
             build_filter(self.name)
@@ -226,22 +226,22 @@ class AbstractRigConfig(Strict):
         """The file, for messages."""
         return self._origin
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Parameters that the vehicle refuses, a prior that does not fit its state."""
         try:
             vehicle = build_model(vehicles.get(self.vehicle.model), self.vehicle.parameters)
         except (ContractError, TypeError) as error:
             yield f"vehicle.model: {error}"
             return
-        yield from self.drive_complaints(type(vehicle.drive(0.0)))
+        yield from self.control_errors(type(vehicle.nominal_control(0.0)))
         yield from self._prior_complaints(charts_of(type(vehicle.start())))
 
     @abc.abstractmethod
-    def drive_complaints(self, control: Any) -> Iterator[str]:
+    def control_errors(self, control: Any) -> Iterator[str]:
         """What is wrong with where the control comes from."""
 
     def _prior_complaints(self, own: dict[str, Chart]) -> Iterator[str]:
-        prior, fields = self.prior, [*own, *self.vehicle.slow]
+        prior, fields = self.prior, [*own, *self.vehicle.augmented]
         known = {"std": list(own), "mean": fields, "from_truth": list(own)}
         for key, names in known.items():
             for name in getattr(prior, key):
@@ -265,7 +265,7 @@ class AbstractRigConfig(Strict):
             return
         if prior.std:
             yield "prior.covariance: found beside prior.std, expected one of the two"
-        yield from _covariance_complaints(prior.covariance, sum(c.size for c in own.values()))
+        yield from _covariance_errors(prior.covariance, sum(c.size for c in own.values()))
 
 
 class RigConfig(AbstractRigConfig):
@@ -280,7 +280,7 @@ class RigConfig(AbstractRigConfig):
     filter: FilterConfig = FilterConfig()
     output: OutputConfig = OutputConfig()
 
-    def drive_complaints(self, control: Any) -> Iterator[str]:
+    def control_errors(self, control: Any) -> Iterator[str]:
         """A control that is missing, or has components that the vehicle does not know."""
         driven = list(space_of(control).column_units)
         if driven and self.control is None:
@@ -293,7 +293,7 @@ class RigConfig(AbstractRigConfig):
                 yield f"control.columns.{name}: {unknown('control component', name, driven)}"
 
 
-def _covariance_complaints(rows: list[list[float]], size: int) -> Iterator[str]:
+def _covariance_errors(rows: list[list[float]], size: int) -> Iterator[str]:
     if [len(row) for row in rows] != [size] * size:
         yield f"prior.covariance: expected {size} rows of {size} numbers"
         return

@@ -15,7 +15,7 @@ from kedge.config.building import (
 )
 from kedge.config.fault_config import FaultConfig, Span
 from kedge.config.filters import build_filter
-from kedge.config.models import Parameter, build_model, model_complaints
+from kedge.config.models import Parameter, build_model, model_errors
 from kedge.config.rigs import (
     AbstractRigConfig,
     Finite,
@@ -32,10 +32,10 @@ from kedge.core.registry import routes, sensors, unknown, vehicles, worlds
 from kedge.estimation.rig import Rig
 from kedge.filters.wrappers.carried import carrying
 from kedge.formats.toml import Strict
-from kedge.simulation.faults import CONTROL, complaint
+from kedge.simulation.faults import CONTROL, validation_error
 from kedge.simulation.routes import AbstractRoute, Facing
-from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, Navigator, Scenario
-from kedge.vehicles.augmented import sharing_slow
+from kedge.simulation.scenario import FEEDBACKS, AbstractWorld, LoopFilter, Scenario
+from kedge.vehicles.augmented import sharing_augmented
 
 MOST_STEPS = 1e7
 """More steps than this in one run is a wrong dt rather than a long scenario."""
@@ -80,7 +80,7 @@ class RunsConfig(Strict):
     names: dict[str, str] = {}
     featured: list[str] = []
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Times that do not go together, filters that cannot be built."""
         if self.dt > self.duration:
             yield f"dt: found {self.dt:g} s, expected at most the duration, {self.duration:g} s"
@@ -94,19 +94,17 @@ class RunsConfig(Strict):
                 f"burn_in: found {self.burn_in:g} s, expected less than the duration, "
                 f"{self.duration:g} s"
             )
-        yield from self.naming_complaints("filters", self.filters)
+        yield from self.naming_errors("filters", self.filters)
         if strange := [name for name in self.featured if name not in self.filters]:
             yield f"featured: found {strange}, expected some of the filters, {self.filters}"
         for name, spec in self.names.items():
-            yield from filter_complaints(f"names.{name}", [spec])
+            yield from filter_errors(f"names.{name}", [spec])
         if self.feedback not in FEEDBACKS:
-            yield from self.naming_complaints("feedback", [self.feedback])
+            yield from self.naming_errors("feedback", [self.feedback])
 
-    def naming_complaints(
-        self, key: str, names: Mapping[str, Any] | list[str]
-    ) -> Iterator[str]:
+    def naming_errors(self, key: str, names: Mapping[str, Any] | list[str]) -> Iterator[str]:
         """Filters that are named twice, or that nobody knows."""
-        yield from filter_complaints(key, names, self.names)
+        yield from filter_errors(key, names, self.names)
 
     def filter_of(self, name: str) -> AbstractFilter:
         """A filter by its short name or as it is typed, with what it carries along.
@@ -131,9 +129,9 @@ class ExpectedConfig(Strict):
     between: Annotated[list[Finite], Field(min_length=2, max_length=2)]
     source: str = ""
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """A score that cannot be understood, a band upside down."""
-        yield from condition_complaints("score", parse_term, self.score)
+        yield from condition_errors("score", parse_term, self.score)
         if self.between[0] > self.between[1]:
             yield f"between: found {self.between}, expected the lower end first"
 
@@ -145,9 +143,9 @@ class QuotedConfig(Strict):
     value: Finite
     source: str
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """A score that cannot be understood."""
-        yield from condition_complaints("score", parse_term, self.score)
+        yield from condition_errors("score", parse_term, self.score)
 
 
 class ClaimConfig(Strict):
@@ -162,10 +160,10 @@ class ClaimConfig(Strict):
     means: str = ""
     """What the test measures, and what follows from its outcome."""
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """A test that cannot be understood."""
         if self.test:
-            yield from condition_complaints("test", parse_condition, self.test)
+            yield from condition_errors("test", parse_condition, self.test)
         elif not self.means:
             yield "means: this key is missing; a claim without a test says here what decides it"
 
@@ -177,9 +175,9 @@ class RouteConfig(Strict):
     parameters: dict[str, Parameter] = {}
     facing: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = None
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Unknown names, and what the route refuses."""
-        wrong = list(model_complaints(routes, self.model, self.parameters))
+        wrong = list(model_errors(routes, self.model, self.parameters))
         yield from wrong
         if not wrong:
             try:
@@ -203,9 +201,9 @@ class WorldConfig(Strict):
     parameters: dict[str, Parameter] = {}
     route: RouteConfig | None = None
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Unknown names, a route that is missing or that the world cannot use."""
-        wrong = list(model_complaints(worlds, self.model, self.parameters))
+        wrong = list(model_errors(worlds, self.model, self.parameters))
         yield from wrong
         if wrong and wrong[0].startswith("model"):
             return
@@ -238,7 +236,7 @@ class ScenarioConfig(AbstractRigConfig):
     scenario: RunsConfig
     world: WorldConfig | None = None
     vehicles: dict[str, VehicleConfig] = {}
-    """The motion models of filters, by name, that have not the rig's; they share its slow
+    """The motion models of filters, by name, that have not the rig's; they share its augmented
     states."""
     published: dict[str, PublishedConfig] = {}
     quoted: list[QuotedConfig] = []
@@ -256,11 +254,13 @@ class ScenarioConfig(AbstractRigConfig):
         found = None if spec is None or spec.map is None else self.maps.get(spec.map)
         return [] if found is None else list(found.ids)
 
-    def drive_complaints(self, control: Any) -> Iterator[str]:
+    def control_errors(self, control: Any) -> Iterator[str]:
         """Keys that belong to logs: a scenario drives as its vehicle's ``drive`` says."""
         spaces = {n: space_of(sensors.get(s.model).measures) for n, s in self.sensors.items()}
         for name, spec in self.faults.items():
-            if wrong := complaint(spec.build(name), {CONTROL: space_of(control)} | spaces):
+            if wrong := validation_error(
+                spec.build(name), {CONTROL: space_of(control)} | spaces
+            ):
                 yield f"faults.{name}.{wrong}"
             if strange := [t for t in spec.targets if t not in self.ids_of(spec.on)]:
                 ids = self.ids_of(spec.on)
@@ -281,18 +281,18 @@ class ScenarioConfig(AbstractRigConfig):
                 "prior.from_truth: a scenario has no log to take it from; "
                 'leave this key out (scenario.start = "truth" starts near the truth)'
             )
-        yield from self.scenario.naming_complaints("published", list(self.published))
-        yield from self.scenario.naming_complaints("vehicles", list(self.vehicles))
+        yield from self.scenario.naming_errors("published", list(self.published))
+        yield from self.scenario.naming_errors("vehicles", list(self.vehicles))
         fields = type(vehicles.get(self.vehicle.model)().start())._fields
         for name in self.scenario.carried:
             if name not in fields:
                 what = unknown("field of the state", name, list(fields))
                 yield f"scenario.carried: {what}"
         for name, spec in self.vehicles.items():
-            if spec.slow:
+            if spec.augmented:
                 yield (
-                    f"vehicles.{name}.slow: leave this key out; motion models of filters share "
-                    "the slow states of the rig's vehicle"
+                    f"vehicles.{name}.augmented: leave this key out; motion models of filters "
+                    "share the augmented states of the rig's vehicle"
                 )
 
 
@@ -305,7 +305,7 @@ class Setting(NamedTuple):
     """The motion models of filters that have not the rig's."""
 
 
-def condition_complaints(key: str, parse: Callable[[str], Any], text: str) -> Iterator[str]:
+def condition_errors(key: str, parse: Callable[[str], Any], text: str) -> Iterator[str]:
     """A condition that cannot be read, as ``key: message``."""
     try:
         parse(text)
@@ -313,7 +313,7 @@ def condition_complaints(key: str, parse: Callable[[str], Any], text: str) -> It
         yield f"{key}: {error}"
 
 
-def filter_complaints(
+def filter_errors(
     key: str, specs: Mapping[str, Any] | list[str], short: Mapping[str, str] = {}
 ) -> Iterator[str]:
     """Filters that are named twice or cannot be built, each as ``key: message``."""
@@ -361,7 +361,9 @@ def build_setting(config: ScenarioConfig) -> Setting:
             config,
             name,
             build_sensor(config, name, {}),
-            build_sensor(config, name, {}, spec.really) if spec.really else None,
+            build_sensor(config, name, {}, spec.true_parameters)
+            if spec.true_parameters
+            else None,
         )
         for name, spec in config.sensors.items()
     )
@@ -369,11 +371,11 @@ def build_setting(config: ScenarioConfig) -> Setting:
     check_noise(config, rig)
     about = config.scenario
     world = None if config.world is None else config.world.build()
-    feedback, navigator = about.feedback, None
+    feedback, loop_filter = about.feedback, None
     if feedback not in FEEDBACKS:
-        navigator, feedback = Navigator(about.filter_of(feedback), feedback), "filter"
+        loop_filter, feedback = LoopFilter(about.filter_of(feedback), feedback), "filter"
     own = {
-        name: sharing_slow(build_model(vehicles.get(spec.model), spec.parameters), vehicle)
+        name: sharing_augmented(build_model(vehicles.get(spec.model), spec.parameters), vehicle)
         for name, spec in config.vehicles.items()
     }
     try:
@@ -384,7 +386,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
             about.spin_up,
             world,
             feedback,
-            navigator,
+            loop_filter,
             tuple(s.build(name, config.ids_of(s.on)) for name, s in config.faults.items()),
         )
     except ContractError as error:

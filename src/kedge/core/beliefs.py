@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from kedge.core.manifolds import Chart, Euclidean, slow_of, space
+from kedge.core.manifolds import Chart, Euclidean, augmented_of, space
 from kedge.core.rotations import Scalar
 
 State = Any
@@ -16,11 +16,11 @@ State = Any
 def stretch(state: State, factor: Scalar) -> Scalar | Float[Array, " n"]:
     r"""By what errors about a state grow where their covariance is multiplied by ``factor``.
 
-    $\sqrt{f}$, but 1 for slow quantities: a vehicle that has lost its way still has the wheels
+    $\sqrt{f}$, but 1 for augmented states: a vehicle that has lost its way still has the wheels
     and radios that it had, and a scale with a spread of ten is soon 0 or below.
     """
-    root, slow = jnp.sqrt(factor), slow_of(type(state))
-    return jnp.where(jnp.array(slow), 1.0, root) if any(slow) else root
+    root, augmented = jnp.sqrt(factor), augmented_of(type(state))
+    return jnp.where(jnp.array(augmented), 1.0, root) if any(augmented) else root
 
 
 def widened_cov(
@@ -44,7 +44,7 @@ class Gaussian(NamedTuple):
         return self
 
     def widened(self, factor: Scalar) -> "Gaussian":
-        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        """The same mean, the covariance times ``factor`` but for augmented states."""
         return Gaussian(self.mean, widened_cov(self.mean, self.cov, factor))
 
 
@@ -57,7 +57,7 @@ class Belief(Protocol):
         ...
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean and ``factor`` times the covariance, but for slow quantities."""
+        """The same mean and ``factor`` times the covariance, but for augmented states."""
         ...
 
 

@@ -46,7 +46,7 @@ class AbstractVehicle(eqx.Module, Generic[S, U, W]):
         """A representative initial state."""
 
     @abc.abstractmethod
-    def drive(self, time: Scalar) -> U:
+    def nominal_control(self, time: Scalar) -> U:
         """A representative control at ``time`` seconds: the default scenario."""
 
     def longest_step(self) -> float:
@@ -153,7 +153,7 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
 
     A sensor over a map (landmarks, beacons, anchors) has a field ``target``: a ``NamedTuple``
     of one target's parameters. The installed sensor carries the whole map there, with a
-    leading axis, and :meth:`facing` picks the target that a reading names.
+    leading axis, and :meth:`for_target` picks the target that a reading names.
     """
 
     reads: ClassVar[Any]
@@ -207,7 +207,7 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
     def _variance(self, state: Any) -> Float[Array, " m"]:
         return space_of(self.measures).flatten(self.noise_std(self.project(state))) ** 2
 
-    def facing(self, index: Int[Array, ""] | int) -> "AbstractSensor[Z]":
+    def for_target(self, index: Int[Array, ""] | int) -> "AbstractSensor[Z]":
         """The sensor looking at target ``index`` of its map; itself if it has no map."""
         targets = getattr(self, "target", None)
         if targets is None:
@@ -240,7 +240,7 @@ class Innovation(NamedTuple):
 class AbstractFilter(eqx.Module, Generic[B]):
     """A recursive estimator as three pure functions of a belief."""
 
-    def aboard(self, sources: tuple[str, ...]) -> "AbstractFilter[B]":
+    def bind_sensors(self, sources: tuple[str, ...]) -> "AbstractFilter[B]":
         """The filter, told by the driver which installed sensors it will hear of."""
         del sources
         return self

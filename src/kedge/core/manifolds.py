@@ -267,16 +267,16 @@ def columns_of(field: str, chart: Chart) -> tuple[str, ...]:
     return component_names(field, chart.size)
 
 
-SLOW = "slow"
+AUGMENTED = "augmented"
 """Annotation of a field that a vehicle takes along: biases, scales, the current around it."""
 
 
 @ft.cache
-def slow_of(cls: Any) -> tuple[bool, ...]:
-    """For each tangent component of a ``NamedTuple``: whether its field is marked ``SLOW``."""
+def augmented_of(cls: Any) -> tuple[bool, ...]:
+    """For each tangent component of a ``NamedTuple``: whether it is marked ``AUGMENTED``."""
     hints = get_type_hints(cls, include_extras=True)
     return tuple(
-        SLOW in getattr(hints[name], "__metadata__", ())
+        AUGMENTED in getattr(hints[name], "__metadata__", ())
         for name, chart in charts_of(cls).items()
         for _ in range(chart.size)
     )

@@ -53,7 +53,7 @@ def seen_from(mount: Mount, state: Any) -> Any:
 
     In space $p + R l$, $R\,R_s$, $v + R (\omega \times l)$, and for what is told in the body
     frame $R_s^\top (v_b + \omega \times l)$, $R_s^\top \omega$. Velocities move with the arm
-    only if the state knows its angular rate: :func:`complaint` refuses the others.
+    only if the state knows its angular rate: :func:`validation_error` refuses the others.
 
     Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
     Systems", 2nd ed., 2013, section 2.5.5 (lever arms).
@@ -80,7 +80,7 @@ def seen_from(mount: Mount, state: Any) -> Any:
     return state._replace(**moved)
 
 
-def complaint(mount: Mount, has: dict[str, Chart], reads: set[str]) -> str | None:
+def validation_error(mount: Mount, has: dict[str, Chart], reads: set[str]) -> str | None:
     """Why a sensor cannot sit there on a vehicle whose state has these fields."""
     if not (has.keys() >= PLANE or has.keys() >= SPACE):
         return (

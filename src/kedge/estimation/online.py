@@ -85,7 +85,7 @@ class Estimator:
             if not good:
                 raise DataError(f"estimator: {name} is {found}, expected {_EXPECTED[name]}")
         self._key = jax.random.key(0) if key is None else key
-        self._filter, self._rig = as_arrays((filter.aboard(rig.names), rig))
+        self._filter, self._rig = as_arrays((filter.bind_sensors(rig.names), rig))
         self._width = widest(rig.sensors)
         # An attribute of a module costs as much as an event.
         self._names = rig.names
@@ -99,7 +99,7 @@ class Estimator:
         self._limits = rig.vehicle.control_limits()
         self.clipped: dict[str, int] = {}
         """How often a component of the control was told beyond its limit; it acts as that."""
-        still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.drive(0.0)))
+        still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.nominal_control(0.0)))
         held = still if control is None else _floats(control)
         standing = _begin(self._filter, self._rig, self._key)
         self._native = NativeStep(

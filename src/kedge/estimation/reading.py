@@ -72,7 +72,7 @@ class Sighting(AbstractMeasurementModel):
 
     def possible(self, state: Any, measurement: Any) -> Bool[Array, ""]:
         """Whether the sensor could have read this of its target; NaN is what is missing."""
-        seen = self.installation.sensor.facing(self.target)
+        seen = self.installation.sensor.for_target(self.target)
         pairs = zip(self.missing, measurement, strict=True)
         read = type(measurement)(*(jnp.where(gone, jnp.nan, leaf) for gone, leaf in pairs))
         return jnp.asarray(seen.possible(state, read))

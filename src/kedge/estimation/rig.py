@@ -14,7 +14,7 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle, Ranging
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.estimation.mount import Mount as Mount
-from kedge.estimation.mount import complaint, seen_from
+from kedge.estimation.mount import seen_from, validation_error
 from kedge.numerics.losses import Loss
 
 
@@ -38,15 +38,15 @@ class Installation(eqx.Module):
 
     allowed_silence: float | None = eqx.field(static=True, default=None)
     """s without a reading of it that is fused, after which the estimate counts as degraded."""
-    sweep: bool = eqx.field(static=True, default=False)
+    all_targets: bool = eqx.field(static=True, default=False)
     """Whether, in simulation, it reads all targets of its map at once, not in turn."""
-    really: AbstractSensor | None = None
+    true_sensor: AbstractSensor | None = None
     """What it is in simulation, where that is not what filters take it for."""
 
     def __check_init__(self):
-        if self.sweep and self.targets is None:
+        if self.all_targets and self.targets is None:
             raise ContractError(
-                f"sensor {self.name!r}: it is to sweep its targets, but has no map of any"
+                f"sensor {self.name!r}: all_targets is set, but it has no map of targets"
             )
         if self.recovery is not None and self.gate is None:
             raise ContractError(
@@ -58,20 +58,20 @@ class Installation(eqx.Module):
 
     def expect(self, state: Any, target: Int[Array, ""]) -> Any:
         """The noise-free measurement of one target."""
-        return self.sensor.facing(target).expect(self._moved(state))
+        return self.sensor.for_target(target).expect(self._moved(state))
 
     def noise_cov(self, state: Any, target: Int[Array, ""]) -> Float[Array, "m m"]:
         """The sensor's own noise for one target."""
-        return self.sensor.facing(target).noise_cov(self._moved(state))
+        return self.sensor.for_target(target).noise_cov(self._moved(state))
 
     def noise_variance(self, state: Any, target: Int[Array, ""]) -> Float[Array, " m"] | None:
         """Its diagonal where the components are independent by construction, else None."""
-        return self.sensor.facing(target).noise_variance(self._moved(state))
+        return self.sensor.for_target(target).noise_variance(self._moved(state))
 
     def ranging(self, state: Any, target: Int[Array, ""]) -> Ranging | None:
         """The anchors of a sensor of ranges, moved so that they say where the vehicle is."""
         moved = self._moved(state)
-        sensor = self.sensor.facing(target)
+        sensor = self.sensor.for_target(target)
         found = sensor.ranging(sensor.project(moved))
         if found is None or self.mount is None:
             return found
@@ -162,7 +162,7 @@ def check_reads(installation: Installation, state: Any, vehicle: str) -> None:
             f"{vehicle} is {has}"
         )
     if installation.mount is not None:
-        why = complaint(installation.mount, has, set(needs))
+        why = validation_error(installation.mount, has, set(needs))
         if why is not None:
             raise ContractError(f"sensor {installation.name!r} {why.format(vehicle=vehicle)}")
 

@@ -74,7 +74,7 @@ def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) ->
 
     if not any(map(is_gap, jax.tree.leaves(belief, is_leaf=is_gap))):
         return belief
-    control = as_arrays(vehicle.drive(0.0))
+    control = as_arrays(vehicle.nominal_control(0.0))
     predicted = jax.eval_shape(
         lambda key: filter.predict(vehicle, belief, control, jnp.ones(()), key), jr.key(0)
     )

@@ -80,7 +80,7 @@ def whole_pass(
         carry = standing, jnp.maximum(time, last), moves, takes, known
         return carry, (moments, outcome, history)
 
-    filter = filter.aboard(rig.names)
+    filter = filter.bind_sensors(rig.names)
     none = jnp.zeros((), int)
     first = begin(filter, rig, key)
     known = first.belief.moments() if isinstance(first.belief, CLOUDS) else None

@@ -16,7 +16,7 @@ class FieldConfig(Strict):
     field: str
     unit: str
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """An unknown unit."""
         if self.unit not in UNITS:
             yield f"unit: {unknown('unit', self.unit, list(UNITS))}"
@@ -38,7 +38,7 @@ class TopicConfig(Strict):
     """The way to the name of the target, from the element if there is ``each``."""
     columns: dict[str, FieldConfig] = {}
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """An unknown unit of time."""
         if self.stamp_unit not in TIME_UNITS:
             yield f"stamp_unit: {unknown('unit of time', self.stamp_unit, list(TIME_UNITS))}"
@@ -59,7 +59,7 @@ class BagConfig(Strict):
                 raise ValueError(f"{name}: target is missing: the way to a target's name")
         return maps
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """A truth that is no source."""
         if self.truth is not None and self.truth not in self.topics:
             yield f"truth: {unknown('source', self.truth, list(self.topics))}"

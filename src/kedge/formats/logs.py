@@ -72,7 +72,7 @@ class ColumnConfig(Strict):
     def _from_unit(cls, value: Any) -> Any:
         return {"unit": value} if isinstance(value, str) else value
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """An unknown unit."""
         if self.unit not in UNITS:
             yield f"unit: {unknown('unit', self.unit, list(UNITS))}"
@@ -89,7 +89,7 @@ class SourceConfig(Strict):
     frame: Frame | None = None
     not_finite: NotFinite = "error"
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """An unknown unit of time, or two columns that get one name."""
         if self.time_unit not in TIME_UNITS:
             yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_UNITS))}"
@@ -106,7 +106,7 @@ class MapSource(Strict):
     columns: dict[str, ColumnConfig]
     frame: Frame | None = None
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """Neither or both kinds, values of another length."""
         yield from _twice(self.columns)
         if (self.ids is None) == (self.file is None):
@@ -127,7 +127,7 @@ class LogConfig(Strict):
     sources: dict[str, SourceConfig]
     maps: dict[str, MapSource] = {}
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """A truth that is no source."""
         if self.truth is not None and self.truth not in self.sources:
             yield f"truth: {unknown('source', self.truth, list(self.sources))}"

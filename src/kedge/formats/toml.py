@@ -16,18 +16,27 @@ M = TypeVar("M", bound=BaseModel)
 Keys = tuple[str | int, ...]
 
 
+# Keys that were renamed in 0.2: said for one version.
+RENAMED = {
+    "slow": "augmented",
+    "walk": "random_walk",
+    "really": "true_parameters",
+    "sweep": "all_targets",
+}
+
+
 class Strict(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    def complaints(self) -> Iterator[str]:
+    def validation_errors(self) -> Iterator[str]:
         """What is wrong beyond types, each as ``key: message``."""
         return iter(())
 
     @model_validator(mode="after")
     def _consistent(self):
-        if found := list(self.complaints()):
+        if found := list(self.validation_errors()):
             raise ValueError("\n".join(found))
         return self
 
@@ -64,7 +73,7 @@ def read_toml(
     try:
         return model.model_validate(tree)
     except ValidationError as failure:
-        found = _complaints(failure, model)
+        found = _validation_errors(failure, model)
     lines = []
     for keys, message in found:
         at = None if any(keys[: len(c)] == c for c in changed) else _line_of(text, keys)
@@ -98,11 +107,17 @@ def _set(tree: dict[str, Any], key: str, text: str) -> Keys:
     return tuple(keys)
 
 
-def _complaints(failure: ValidationError, model: type[BaseModel]) -> Iterator[tuple[Keys, str]]:
+def _validation_errors(
+    failure: ValidationError, model: type[BaseModel]
+) -> Iterator[tuple[Keys, str]]:
     for item in failure.errors(include_url=False):
         keys, kind = item["loc"], item["type"]
         if kind == "extra_forbidden":
-            yield keys, unknown("key", str(keys[-1]), _known(model, keys[:-1]))
+            known, key = _known(model, keys[:-1]), str(keys[-1])
+            if RENAMED.get(key) in known:
+                yield keys, f"this key is called {RENAMED[key]!r} now"
+            else:
+                yield keys, unknown("key", key, known)
         elif kind == "missing":
             yield keys, "this key is missing"
         elif kind == "value_error":

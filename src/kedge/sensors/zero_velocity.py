@@ -76,8 +76,8 @@ class ZeroMotion(AbstractSensor[StillAndSteady]):
 class ZeroRate(AbstractSensor[AtRest]):
     r"""$z = b_\omega + w$: what gyroscopes read while the vehicle stands is their bias.
 
-    For states that estimate ``gyroscope_bias`` and do not know their angular rate, such as
-    ``strapdown`` with that slow state. A mean over $\Delta t$ of gyroscopes with the density N
+    For states with ``gyroscope_bias`` but no angular rate, such as an augmented
+    ``strapdown``. A mean over $\Delta t$ of gyroscopes with the density N
     has the deviation $N / \sqrt{\Delta t}$.
 
     Source: P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation

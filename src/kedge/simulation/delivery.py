@@ -32,7 +32,7 @@ def delivered(scenario: Scenario, key: PRNGKeyArray) -> list[Message]:
     scenario = dataclasses.replace(scenario, fault_key=fault_key(key))
     for installation, readings in zip(scenario.rig.sensors, run.readings, strict=True):
         times = scenario.times(installation)
-        kinds = scenario.troubles(installation)
+        kinds = scenario.drawn_faults(installation)
         delays = [
             np.asarray(t.drawn) for t in kinds if isinstance(t.kind, AbstractDeliveryFault)
         ]

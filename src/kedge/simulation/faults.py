@@ -145,7 +145,7 @@ class Fault(eqx.Module):
         )
 
 
-class Trouble(NamedTuple):
+class DrawnFault(NamedTuple):
     """A fault, drawn for all readings of its sensor."""
 
     kind: AbstractFault
@@ -159,7 +159,7 @@ def drawn(
     target: Int[np.ndarray, " n"],
     size: int,
     key: PRNGKeyArray | None,
-) -> tuple[Trouble, ...]:
+) -> tuple[DrawnFault, ...]:
     """The faults of one sensor with ``size`` components, at the times of its readings."""
     found = []
     for fault in faults:
@@ -168,27 +168,30 @@ def drawn(
         when_key, own = jr.split(jr.fold_in(key, zlib.crc32(fault.name.encode())))
         when, kind = fault.when(when_key, time, target), fault.kind
         if isinstance(kind, AbstractReadingFault):
-            found.append(Trouble(kind, kind.draw(own, when, size)))
+            found.append(DrawnFault(kind, kind.draw(own, when, size)))
         elif isinstance(kind, AbstractTimeFault):
-            found.append(Trouble(kind, kind.lag(own, when)))
+            found.append(DrawnFault(kind, kind.lag(own, when)))
         elif isinstance(kind, AbstractHoldingFault):
-            found.append(Trouble(kind, kind.source(when)))
+            found.append(DrawnFault(kind, kind.source(when)))
         elif isinstance(kind, AbstractDeliveryFault):
-            found.append(Trouble(kind, kind.delays(own, when)))
+            found.append(DrawnFault(kind, kind.delays(own, when)))
     return tuple(found)
 
 
-def lags(troubles: Sequence[Trouble]) -> Float[Array, " n"] | None:
+def lags(drawn_faults: Sequence[DrawnFault]) -> Float[Array, " n"] | None:
     """How long before its stamp each reading was taken; None if no fault concerns time."""
-    late = [t.drawn for t in troubles if isinstance(t.kind, AbstractTimeFault)]
+    late = [t.drawn for t in drawn_faults if isinstance(t.kind, AbstractTimeFault)]
     return functools.reduce(jnp.add, late) if late else None
 
 
 def changed(
-    troubles: Sequence[Trouble], row: Int[Array, ""], reading: Any, std: Float[Array, " m"]
+    drawn_faults: Sequence[DrawnFault],
+    row: Int[Array, ""],
+    reading: Any,
+    std: Float[Array, " m"],
 ) -> Any:
     """One reading, number ``row``, after all faults that change it by itself."""
-    for kind, drawn in troubles:
+    for kind, drawn in drawn_faults:
         if isinstance(kind, AbstractReadingFault):
             mine = jax.tree.map(lambda leaf: leaf[row], drawn)
             reading = kind.change(chosen(space(reading), kind.component), reading, mine, std)
@@ -196,20 +199,23 @@ def changed(
 
 
 def all_changed(
-    troubles: Sequence[Trouble], readings: Any, stds: Float[Array, "n m"], alone: Any = ()
+    drawn_faults: Sequence[DrawnFault],
+    readings: Any,
+    stds: Float[Array, "n m"],
+    alone: Any = (),
 ) -> tuple[Any, Any]:
     """All readings of a sensor after its faults, in their order.
 
     What is ``alone`` (their targets) is held with them, and not changed otherwise.
     """
     rows = jnp.arange(len(stds))
-    for trouble in troubles:
-        if isinstance(trouble.kind, AbstractHoldingFault):
-            held = trouble.drawn
+    for drawn_fault in drawn_faults:
+        if isinstance(drawn_fault.kind, AbstractHoldingFault):
+            held = drawn_fault.drawn
             readings, alone = jax.tree.map(lambda leaf, i=held: leaf[i], (readings, alone))
-        elif isinstance(trouble.kind, AbstractReadingFault):
+        elif isinstance(drawn_fault.kind, AbstractReadingFault):
 
-            def one(row: Any, reading: Any, std: Any, only: Trouble = trouble) -> Any:
+            def one(row: Any, reading: Any, std: Any, only: DrawnFault = drawn_fault) -> Any:
                 return changed([only], row, reading, std)
 
             readings = jax.vmap(one)(rows, readings, stds)
@@ -224,7 +230,7 @@ def chosen(outputs: Space, component: str) -> np.ndarray:
     return np.array([component in ("", label) for label in outputs.labels], bool)
 
 
-def complaint(fault: Fault, spaces: Mapping[str, Space]) -> str | None:
+def validation_error(fault: Fault, spaces: Mapping[str, Space]) -> str | None:
     """What is wrong with a fault where there are these sensors, as ``key: message``."""
     if fault.on not in spaces:
         return f"on: {unknown('sensor', fault.on, list(spaces))}"

@@ -21,7 +21,7 @@ from kedge.estimation.log import SECOND, Readings
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.step import Standing, advance, begin, event_keys, take_in, widest
 from kedge.numerics.linalg import square_root
-from kedge.simulation.faults import Trouble, changed
+from kedge.simulation.faults import DrawnFault, changed
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
 from kedge.simulation.sensing import noise_std, sensed, targets_of
 
@@ -117,14 +117,14 @@ class _Sensing(NamedTuple):
     sensors: tuple[Installation, ...]
     fires: tuple[Bool[np.ndarray, " K"], ...]
     keys: tuple[Key[Array, " _"], ...]
-    troubles: tuple[tuple[Trouble, ...], ...]
+    drawn_faults: tuple[tuple[DrawnFault, ...], ...]
 
     @classmethod
     def of(cls, scenario: Scenario, keys: tuple[Key[Array, " _"], ...]) -> "_Sensing":
         sensors = scenario.rig.sensors[: len(keys)]
         number = np.arange(1, scenario.steps + 1)
         fires = tuple(np.isin(number, scenario.ticks(s)) for s in sensors)
-        return cls(sensors, fires, keys, tuple(map(scenario.troubles, sensors)))
+        return cls(sensors, fires, keys, tuple(map(scenario.drawn_faults, sensors)))
 
     def by_block(self, blocks: int, hold: int) -> tuple[np.ndarray, np.ndarray]:
         """Who fires, and the row of its reading; by block, step and sensor."""
@@ -138,9 +138,9 @@ class _Sensing(NamedTuple):
         installation, keys = self.sensors[place], self.keys[place]
         target = targets_of(installation, len(keys))[row]
         reading = sensed(installation, state, target, keys[row])
-        if troubles := self.troubles[place]:
+        if drawn_faults := self.drawn_faults[place]:
             std = noise_std(installation, state, target)
-            reading = changed(troubles, row, reading, std)
+            reading = changed(drawn_faults, row, reading, std)
         return Readings(reading, target)
 
 
@@ -280,17 +280,17 @@ def _listener(world: AbstractGuidedWorld, scenario: Scenario, first: Any) -> Abs
         return _LastReadings(world, scenario, first)
     if scenario.feedback != "filter":
         return _Told(world, scenario)
-    navigator, rig = scenario.navigator, scenario.rig
-    if navigator is None or navigator.key is None:
+    loop_filter, rig = scenario.loop_filter, scenario.rig
+    if loop_filter is None or loop_filter.key is None:
         raise ContractError(
             "scenario: its guidance hears a filter, but none is named; run it as a study, or "
             'name one: scenario.feedback = "extended"'
         )
     prior = rig.prior
-    if navigator.error is not None:
-        mean = start_near(prior, first, navigator.error)
+    if loop_filter.error is not None:
+        mean = start_near(prior, first, loop_filter.error)
         rig = eqx.tree_at(lambda r: r.prior, rig, Gaussian(mean, prior.cov))
-    return _Filtered(rig, navigator.filter.aboard(rig.names), navigator.key)
+    return _Filtered(rig, loop_filter.filter.bind_sensors(rig.names), loop_filter.key)
 
 
 def start_near(prior: Gaussian, first: Any, white: Float[Array, " n"]) -> Any:

@@ -18,10 +18,10 @@ from kedge.simulation.faults import (
     CONTROL,
     AbstractDeliveryFault,
     AbstractReadingFault,
+    DrawnFault,
     Fault,
-    Trouble,
-    complaint,
     drawn,
+    validation_error,
 )
 
 FEEDBACKS = ("none", "truth", "readings", "filter")
@@ -71,7 +71,7 @@ class AbstractWorld(eqx.Module):
         """
 
 
-class Navigator(eqx.Module):
+class LoopFilter(eqx.Module):
     """The filter that a guidance believes."""
 
     filter: AbstractFilter
@@ -84,16 +84,16 @@ class Navigator(eqx.Module):
 
 
 class Scenario(eqx.Module):
-    """A rig driven by its vehicle's own ``drive``, or in a world; sensors fire at their rates.
+    """A rig driven by its vehicle's ``nominal_control``, or in a world; sensors have rates.
 
     A sensor over a map sees its targets in turn, one each time it fires, or all of them each
-    time if it is installed to ``sweep``. Without a world the truth is drawn from the rig's
-    prior ``spin_up`` seconds before time 0 and moves until then, so that it begins on the
+    time if it is installed for ``all_targets``. Without a world the truth is drawn from the
+    rig's prior ``spin_up`` seconds before time 0 and moves until then, so that it begins on the
     attractor of a system that has one.
 
     The guidance of a world that has one steers by ``feedback``: "none" (it believes that all
     goes as intended), "truth", "readings" (each as it is, until the next) or "filter": its
-    ``navigator``, or each filter of a study, which then is judged in a loop of its own.
+    ``loop_filter``, or each filter of a study, which then is judged in a loop of its own.
 
     ``faults`` change readings in their order, and what filters are told of the control.
     """
@@ -104,7 +104,7 @@ class Scenario(eqx.Module):
     spin_up: float = eqx.field(static=True, default=0.0)  # s
     world: AbstractWorld | None = None
     feedback: str = eqx.field(static=True, default="none")
-    navigator: Navigator | None = None
+    loop_filter: LoopFilter | None = None
     faults: tuple[Fault, ...] = ()
     fault_key: PRNGKeyArray | None = None
     """From which they are drawn; :func:`kedge.simulation.simulate.simulate` gives a run's."""
@@ -133,21 +133,21 @@ class Scenario(eqx.Module):
             )
         if self.feedback in ("readings", "filter"):
             for own in self.rig.sensors:
-                if own.sweep:
+                if own.all_targets:
                     raise ContractError(
-                        f"sensors.{own.name}: found sweep, but a guidance that hears readings "
-                        f'or a filter (feedback is "{self.feedback}") takes one reading of a '
-                        "sensor at a time"
+                        f"sensors.{own.name}: found all_targets, but a guidance that hears "
+                        f'readings or a filter (feedback is "{self.feedback}") takes one '
+                        "reading of a sensor at a time"
                     )
         if self.faults:
             self._check_faults()
 
     def _check_faults(self) -> None:
-        spaces = {CONTROL: space_of(type(self.rig.vehicle.drive(0.0)))}
+        spaces = {CONTROL: space_of(type(self.rig.vehicle.nominal_control(0.0)))}
         spaces |= {own.name: space_of(own.sensor.measures) for own in self.rig.sensors}
         names = [fault.name for fault in self.faults]
         for fault in self.faults:
-            if wrong := complaint(fault, spaces):
+            if wrong := validation_error(fault, spaces):
                 raise ContractError(f"faults.{fault.name}.{wrong}")
             if names.count(fault.name) > 1:
                 raise ContractError(f"two faults are called {fault.name!r}; names must differ")
@@ -170,24 +170,24 @@ class Scenario(eqx.Module):
     @property
     def each_in_its_loop(self) -> bool:
         """Whether a guidance is to believe each filter of a study in turn."""
-        return self.feedback == "filter" and self.navigator is None
+        return self.feedback == "filter" and self.loop_filter is None
 
     def ticks(self, installation: Installation) -> np.ndarray:
         """The steps, counted from 1, at whose ends a sensor reads; as often as it reads."""
         rate = installation.rate or installation.sensor.nominal_rate
         every = max(1, round(1 / (rate * self.dt)))
-        at_once = (installation.targets or 1) if installation.sweep else 1
+        at_once = (installation.targets or 1) if installation.all_targets else 1
         return np.repeat(np.arange(every, self.steps + 1, every), at_once)
 
     def times(self, installation: Installation) -> np.ndarray:
         """The stamps of a sensor's readings, in s."""
         return np.round(self.ticks(installation) * self.dt * SECOND) / SECOND
 
-    def troubles(self, installation: Installation | None) -> tuple[Trouble, ...]:
+    def drawn_faults(self, installation: Installation | None) -> tuple[DrawnFault, ...]:
         """The faults of a sensor (None: of what is told of the control), drawn for a run."""
         if installation is None:
             time = np.round(np.arange(self.steps) * self.dt * SECOND) / SECOND
-            size, on = space_of(type(self.rig.vehicle.drive(0.0))).size, CONTROL
+            size, on = space_of(type(self.rig.vehicle.nominal_control(0.0))).size, CONTROL
             targets = 1
         else:
             time, on = self.times(installation), installation.name

@@ -14,7 +14,7 @@ from kedge.core.manifolds import space
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
 from kedge.numerics.noise import coloured
-from kedge.simulation.faults import Trouble, all_changed, lags
+from kedge.simulation.faults import DrawnFault, all_changed, lags
 from kedge.simulation.scenario import History
 
 
@@ -35,9 +35,9 @@ def sensed(
 
 def as_it_is(installation: Installation) -> Installation:
     """With the sensor that is simulated, where filters take it for another."""
-    if installation.really is None:
+    if installation.true_sensor is None:
         return installation
-    return dataclasses.replace(installation, sensor=installation.really, really=None)
+    return dataclasses.replace(installation, sensor=installation.true_sensor, true_sensor=None)
 
 
 def targets_of(installation: Installation, count: int) -> Int[Array, " n"]:
@@ -51,10 +51,10 @@ def all_sensed(
     keys: Key[Array, " n"],
     history: History,
     dt: float,
-    troubles: Sequence[Trouble] = (),
+    drawn_faults: Sequence[DrawnFault] = (),
 ) -> Readings:
     """All readings of a sensor; ``ticks`` are the steps, from 1, at whose ends it fires."""
-    late, targets = lags(troubles), targets_of(installation, len(ticks))
+    late, targets = lags(drawn_faults), targets_of(installation, len(ticks))
     if late is None:
         seen = jax.tree.map(lambda leaf: leaf[ticks - 1], history.path)
     else:
@@ -64,23 +64,23 @@ def all_sensed(
         return sensed(installation, state, target, key)
 
     measured = jax.vmap(one)(seen, targets, keys)
-    if troubles:
+    if drawn_faults:
         stds = jax.vmap(lambda *where: noise_std(installation, *where))(seen, targets)
-        measured, targets = all_changed(troubles, measured, stds, targets)
+        measured, targets = all_changed(drawn_faults, measured, stds, targets)
     return Readings(measured, targets)
 
 
-def all_told(controls: Any, dt: float, troubles: Sequence[Trouble]) -> Any:
+def all_told(controls: Any, dt: float, drawn_faults: Sequence[DrawnFault]) -> Any:
     """The controls of every step as filters are told of them; what is lost, they hold on."""
-    if not troubles:
+    if not drawn_faults:
         return controls
     outputs, steps = space(controls), len(jax.tree.leaves(controls)[0])
-    late = lags(troubles)
+    late = lags(drawn_faults)
     if late is not None:
         step = jnp.floor(jnp.arange(steps) - late / dt + 1e-6).astype(int)
         controls = jax.tree.map(lambda leaf: leaf[jnp.clip(step, 0, steps - 1)], controls)
     controls = jax.tree.map(lambda leaf: 1.0 * leaf, controls)
-    told, _ = all_changed(troubles, controls, jnp.ones((steps, outputs.size)))
+    told, _ = all_changed(drawn_faults, controls, jnp.ones((steps, outputs.size)))
     return jax.tree.map(_held, told)
 
 

@@ -56,7 +56,7 @@ def schedule(scenario: Scenario, output_rate: float = 10.0) -> Recording:
     """The events of a scenario; all its runs share them. The readings in it are blanks."""
     key = jr.key(0)
     # Whatever a guidance hears changes no shape.
-    plain = dataclasses.replace(scenario, feedback="none", navigator=None)
+    plain = dataclasses.replace(scenario, feedback="none", loop_filter=None)
     shapes = jax.eval_shape(lambda: _simulate(as_arrays(plain), key))
     blank: Simulation = jax.tree.map(lambda leaf: np.zeros(leaf.shape), shapes)
     stamps = np.round(np.arange(scenario.steps) * scenario.dt * SECOND).astype(np.int64)
@@ -94,10 +94,10 @@ def with_readings(log: Log, scenario: Scenario, run: Simulation) -> Log:
 def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     rig = scenario.rig
     start_key, drive_key, sense_key, filter_key = jr.split(key, 4)
-    pilot = scenario.navigator
+    pilot = scenario.loop_filter
     if pilot is not None and pilot.key is None:
         pilot = dataclasses.replace(pilot, key=filter_key)
-        scenario = dataclasses.replace(scenario, navigator=pilot)
+        scenario = dataclasses.replace(scenario, loop_filter=pilot)
     if scenario.faults:
         scenario = dataclasses.replace(scenario, fault_key=fault_key(key))
     keys = jr.split(sense_key, max(len(rig.sensors), 1))
@@ -109,10 +109,10 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
         history = scenario.world.unfold(scenario, drive_key, sensing)
     dt = scenario.dt
     readings = tuple(
-        all_sensed(sensor, fired, keys, history, dt, scenario.troubles(sensor))
+        all_sensed(sensor, fired, keys, history, dt, scenario.drawn_faults(sensor))
         for sensor, fired, keys in zip(rig.sensors, ticks, sensing, strict=True)
     )
-    told = all_told(history.controls, dt, scenario.troubles(None))
+    told = all_told(history.controls, dt, scenario.drawn_faults(None))
     path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
     return Simulation(path, told, readings, start)
 
@@ -128,7 +128,7 @@ def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -
 
     def drive(state: Any, begin: int, end: int, key: PRNGKeyArray) -> tuple[Any, Any, Any]:
         """The state at the end of every step from ``begin`` to ``end``, and the controls."""
-        controls = jax.vmap(vehicle.drive)(jnp.arange(begin, end) * scenario.dt)
+        controls = jax.vmap(vehicle.nominal_control)(jnp.arange(begin, end) * scenario.dt)
         shocks = jr.normal(key, (end - begin, noises.size))
         shocks = shocks * process_std(vehicle, scenario.dt)[None]
 

@@ -25,7 +25,7 @@ ANSWER = 8.0  # s that a scheduler has to answer
 ATTEMPTS = 3
 """How often chunks are begun anew that were lost with a process."""
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 Chunks = Iterator[tuple[int, dict[str, np.ndarray]]]
 
 
@@ -57,7 +57,7 @@ class Job(NamedTuple):
         windows = setting.config.windows
         return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
 
-    def trials(self, say: Say = lambda text: None) -> Trials:
+    def trials(self, progress: Progress = lambda text: None) -> Trials:
         """Make the study ready to be computed.
 
         Raises:
@@ -69,7 +69,7 @@ class Job(NamedTuple):
             load_modules(Path(self.origin))
         setting = self.setting()
         filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
-        return Trials(self.study(setting), filters, self.runs, self.chunk, say)
+        return Trials(self.study(setting), filters, self.runs, self.chunk, progress)
 
 
 def compute(job: Job, number: int) -> dict[str, np.ndarray]:
@@ -78,26 +78,26 @@ def compute(job: Job, number: int) -> dict[str, np.ndarray]:
         return pack(_trials(job).part(number))
 
 
-def check(job: Job, say: Say) -> None:
+def check(job: Job, progress: Progress) -> None:
     """See that every filter can run, before anything is computed or sent anywhere.
 
     Raises:
         KedgeError: a filter cannot run on the scenario's rig.
     """
     trials = _trials(job)
-    trials.say = say
+    trials.progress = progress
     trials.prepare()
 
 
-def local(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
+def local(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
     """One batched computation after the other, in this process."""
     trials = _trials(job)
-    trials.say = say
+    trials.progress = progress
     for number in numbers:
         yield number, pack(trials.part(number))
 
 
-def processes(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
+def processes(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
     """A process for each core; a chunk is a task.
 
     Raises:
@@ -114,7 +114,7 @@ def processes(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
         # Not forked: JAX's threads would not survive that.
         context = multiprocessing.get_context("spawn")
         count = min(os.cpu_count() or 1, len(left))
-        say(f"{count} processes, {len(left)} chunks")
+        progress(f"{count} processes, {len(left)} chunks")
         pool = ProcessPoolExecutor(count, context, _ignore_interrupts)
         try:
             tasks = {pool.submit(compute, job, number): number for number in left}
@@ -123,7 +123,7 @@ def processes(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
                 left.remove(number)
                 yield number, arrays
         except BrokenProcessPool:
-            say("a process ended before its chunk was done; its chunk is begun anew")
+            progress("a process ended before its chunk was done; its chunk is begun anew")
         finally:
             pool.shutdown(cancel_futures=True)
     if left:
@@ -133,7 +133,7 @@ def processes(job: Job, numbers: Sequence[int], say: Say) -> Chunks:
         )
 
 
-def dask(job: Job, numbers: Sequence[int], say: Say, scheduler: str) -> Chunks:
+def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -> Chunks:
     """The workers of a Dask cluster, which need kedge installed; a chunk is a task.
 
     A chunk that is lost with a worker is given to another.
@@ -159,7 +159,9 @@ def dask(job: Job, numbers: Sequence[int], say: Say, scheduler: str) -> Chunks:
         ) from error
     with client:
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
-        say(f"{workers} workers, {len(numbers)} chunks" + ("; waiting" if not workers else ""))
+        progress(
+            f"{workers} workers, {len(numbers)} chunks" + ("; waiting" if not workers else "")
+        )
         tasks = {client.submit(compute, job, n, pure=False, retries=1): n for n in numbers}
         try:
             for task in distributed.as_completed(list(tasks), loop=client.loop):
@@ -174,7 +176,9 @@ def dask(job: Job, numbers: Sequence[int], say: Say, scheduler: str) -> Chunks:
             client.cancel(list(tasks))
 
 
-def chosen(engine: str, scheduler: str | None) -> Callable[[Job, Sequence[int], Say], Chunks]:
+def chosen(
+    engine: str, scheduler: str | None
+) -> Callable[[Job, Sequence[int], Progress], Chunks]:
     """The engine of a name.
 
     Raises:

@@ -26,7 +26,7 @@ from kedge.estimation.compiled import Engine
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.simulation.loop import start_near
-from kedge.simulation.scenario import Navigator, Scenario
+from kedge.simulation.scenario import LoopFilter, Scenario
 from kedge.simulation.simulate import Simulation, schedule, simulate
 from kedge.studies.filter_pass import FilterPass, Rows
 from kedge.studies.measure import Plan, Window, given_of, scored
@@ -107,7 +107,7 @@ class Study(NamedTuple):
         rig, own = self.scenario.rig, self.vehicles.get(name)
         if own is None:
             return self.scenario
-        told, known = (type(vehicle.drive(0.0)) for vehicle in (rig.vehicle, own))
+        told, known = (type(vehicle.nominal_control(0.0)) for vehicle in (rig.vehicle, own))
         if not known._fields:
             own = Undriven(own, rig.vehicle)
         elif told is not known:
@@ -140,14 +140,14 @@ class Trials:
         filters: Mapping[str, AbstractFilter],
         runs: int,
         chunk: int = CHUNK,
-        say: Callable[[str], None] = lambda text: None,
+        progress: Callable[[str], None] = lambda text: None,
     ):
         study.check()
         for name, number in (("runs", runs), ("chunk", chunk)):
             if number < 1:
                 raise ConfigError(f"{name}: found {number}, expected 1 or more")
         self.study, self.filters, self.runs = study, dict(filters), runs
-        self.chunk, self.say = min(chunk, runs), say
+        self.chunk, self.progress = min(chunk, runs), progress
         self.plan = plan_of(study)
         self._scenarios = {name: as_arrays(study.scenario_of(name)) for name in filters}
         self._passes = {name: self._pass(name) for name in filters}
@@ -165,7 +165,7 @@ class Trials:
         """
         index, shapes = jnp.arange(self.chunk), None
         for name, own in self._passes.items():
-            self.say(f"{name}: checking")
+            self.progress(f"{name}: checking")
             try:
                 if shapes is None or self.study.scenario.each_in_its_loop:
                     shapes = eqx.filter_eval_shape(lambda n=name: self._truths(n, index))
@@ -187,7 +187,7 @@ class Trials:
         pieces, first, truth, means = {}, None, None, None
         for name in self.filters:
             if truth is None or self.study.scenario.each_in_its_loop:
-                self.say(f"{said}: simulating")
+                self.progress(f"{said}: simulating")
                 truth, means = self._truths(name, index)
             shown_truth = ({}, {}) if number else _first(self.study.scenario, self.plan, truth)
             first = first or shown_truth
@@ -196,10 +196,10 @@ class Trials:
             given, own = jax.block_until_ready(given_of(*told, means)), self._passes[name]
             compiling = 0.0
             if not own.is_ready:
-                self.say(f"{name}: compiling")
+                self.progress(f"{name}: compiling")
                 own.compile(given)
                 compiling = own.compile_seconds
-            self.say(f"{name}: {said}")
+            self.progress(f"{name}: {said}")
             before = time.perf_counter()
             believed = own.over(given, np.asarray(index))
             seconds = time.perf_counter() - before
@@ -235,12 +235,12 @@ class Trials:
     def _truths(self, name: str, index: Int[Array, " runs"]) -> tuple[Simulation, Any]:
         """Simulate runs; if a guidance listens to each filter in turn, to the one named."""
         seed, scenario = self.study.seed, self.study.scenario
-        pilot = scenario.navigator
+        pilot = scenario.loop_filter
         if scenario.each_in_its_loop:
-            pilot = Navigator(self.filters[name], name)
+            pilot = LoopFilter(self.filters[name], name)
         if pilot is not None:
             own = self.study.scenario_of(pilot.name)
-            scenario = dataclasses.replace(own, navigator=pilot)
+            scenario = dataclasses.replace(own, loop_filter=pilot)
         priors = None if self.study.start == "prior" else stream(seed, "prior")
         draws = None if pilot is None else stream(seed, f"filter {pilot.name}")
         return _simulated(as_arrays(scenario), index, stream(seed, "truth"), priors, draws)
@@ -250,7 +250,7 @@ def run_study(
     study: Study,
     filters: Mapping[str, AbstractFilter],
     runs: int,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     chunk: int = CHUNK,
 ) -> dict[str, Result]:
     """Simulate ``runs`` runs, and run every filter over each, in this process.
@@ -261,7 +261,7 @@ def run_study(
         ConfigError: there are no runs, or nothing to score.
         ContractError: a filter cannot run on the rig.
     """
-    trials, tally = Trials(study, filters, runs, chunk, say), Tally(list(filters))
+    trials, tally = Trials(study, filters, runs, chunk, progress), Tally(list(filters))
     for number in trials.chunks:
         tally.add(trials.part(number))
     return tally.results()
@@ -345,10 +345,10 @@ def _simulated(
         white, own = None, scenario
         if priors is not None:
             white = jr.normal(jr.fold_in(priors, run), (states.size,))
-        if scenario.navigator is not None and draws is not None:
+        if scenario.loop_filter is not None and draws is not None:
             key = jr.fold_in(draws, run)
-            pilot = dataclasses.replace(scenario.navigator, key=key, error=white)
-            own = dataclasses.replace(scenario, navigator=pilot)
+            pilot = dataclasses.replace(scenario.loop_filter, key=key, error=white)
+            own = dataclasses.replace(scenario, loop_filter=pilot)
         truth = simulate(own, jr.fold_in(truths, run))
         mean = prior.mean if white is None else start_near(prior, truth.start, white)
         return truth, mean

@@ -108,12 +108,14 @@ def _rig_for(model: AbstractFilter, require: Require) -> Rig:
     for rig in _rigs():
 
         def once(dt: Float[Array, ""], key: PRNGKeyArray, rig: Rig = rig) -> Any:
-            aboard, installation = model.aboard(rig.names), rig.sensors[0]
-            belief = aboard.init(rig.prior, key)
-            belief = aboard.predict(rig.vehicle, belief, rig.vehicle.drive(0.0), dt, key)
+            bound, installation = model.bind_sensors(rig.names), rig.sensors[0]
+            belief = bound.init(rig.prior, key)
+            belief = bound.predict(
+                rig.vehicle, belief, rig.vehicle.nominal_control(0.0), dt, key
+            )
             seen = installation.expect(rig.vehicle.start(), jnp.asarray(0))
             one, seen = sight(installation, Readings(seen, jnp.asarray(0)))
-            return aboard.update(one, belief, seen, key)
+            return bound.update(one, belief, seen, key)
 
         with Tracing(require, "it can be mapped over runs, with jax.vmap"):
             try:

@@ -53,8 +53,8 @@ def check_sensor(sensor: str | type | AbstractSensor) -> None:
     targets = Installation("checked", model).targets
     require("its map has a target", targets != 0, found="an empty map")
     with Tracing(require, "observe can be traced"):
-        seen = jax.eval_shape(lambda point: model.facing(0).observe(point), origin)
-        noise = jax.eval_shape(lambda point: model.facing(0).noise_std(point), origin)
+        seen = jax.eval_shape(lambda point: model.for_target(0).observe(point), origin)
+        noise = jax.eval_shape(lambda point: model.for_target(0).noise_std(point), origin)
     expected = [(chart.shape, float_name()) for chart in outputs.charts]
     require_layout(
         require, "observe returns what measures says", seen, model.measures, expected
@@ -99,11 +99,11 @@ def check_sensor(sensor: str | type | AbstractSensor) -> None:
 def _sensor_figures(
     model: Any, reads: Space, outputs: Space, point: Any, error: Float[Array, " m"], target: Any
 ) -> dict[str, Array]:
-    facing = model.facing(target)
-    seen = facing.observe(point)
+    aimed = model.for_target(target)
+    seen = aimed.observe(point)
 
     def look(shift: Array) -> Any:
-        return facing.observe(reads.boxplus(point, shift))
+        return aimed.observe(reads.boxplus(point, shift))
 
     def move(shift: Array) -> Array:
         return outputs.boxminus(look(shift), seen)
@@ -119,12 +119,12 @@ def _sensor_figures(
             for c, leaf in zip(reads.charts, point, strict=True)
         )
     )
-    cov, jacobian = facing.noise_cov(point), jax.jacfwd(move)(reads.zeros())
+    cov, jacobian = aimed.noise_cov(point), jax.jacfwd(move)(reads.zeros())
     return {
         "measurement": jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(seen)]),
-        "std": outputs.flatten(facing.noise_std(point)),
+        "std": outputs.flatten(aimed.noise_std(point)),
         "wrap": jnp.abs(outputs.boxminus(outputs.boxplus(seen, error), seen) - error),
-        "turn": jnp.abs(outputs.boxminus(facing.observe(other), seen)),
+        "turn": jnp.abs(outputs.boxminus(aimed.observe(other), seen)),
         "cov": jnp.abs(cov),
         "skew": jnp.abs(cov - cov.T),
         "root": cholesky(cov),

@@ -29,11 +29,11 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
         ContractError: the first law that it breaks.
     """
     model, require = member(vehicle, registry.vehicles, AbstractVehicle)
-    state, density, control = model.start(), model.noise_density(), model.drive(0.0)
+    state, density, control = model.start(), model.noise_density(), model.nominal_control(0.0)
     states = charted(require, "start()", state)
     noises = charted(require, "noise_density()", density, tangent=True)
-    controls = charted(require, "drive(0)", control)
-    charted(require, "drive(1)", model.drive(1.0), of=type(control))
+    controls = charted(require, "nominal_control(0)", control)
+    charted(require, "nominal_control(1)", model.nominal_control(1.0), of=type(control))
 
     deviation = np.asarray(noises.flatten(density))
     require(
@@ -89,14 +89,14 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
     )
     require.finite("the Jacobians are finite, also at rest", found["jacobian"])
     require.small("the Jacobians are those of central differences", found["slope"], 1e-6)
-    require.finite(f"what drive() does stays finite for {SPAN:g} s", found["drive"])
+    require.finite(f"what nominal_control() does stays finite for {SPAN:g} s", found["drive"])
 
 
 def _vehicle_figures(
     model: Any, still: Any, dt: float, state: Any, error: Float[Array, " n"], time: Scalar
 ) -> dict[str, Array]:
     states, noises = space_of(type(state)), space_of(type(model.noise_density()))
-    control, calm = model.drive(time), noises.zeros()
+    control, calm = model.nominal_control(time), noises.zeros()
 
     def walk(length: Array) -> Any:
         """The states after one and after two steps."""
@@ -166,7 +166,9 @@ def _driven(model: Any) -> Array:
     length = 0.1  # s
 
     def body(state: Any, time: Array) -> tuple[Any, Array]:
-        state = model.step(state, model.drive(time), noises.unflatten(noises.zeros()), length)
+        state = model.step(
+            state, model.nominal_control(time), noises.unflatten(noises.zeros()), length
+        )
         return state, jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(state)])
 
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.start())

@@ -46,7 +46,7 @@ class Tunable(NamedTuple):
 
 
 def tunables(rig: Rig) -> list[Tunable]:
-    """Every number of the vehicle, its slow quantities, the sensors and their mounts.
+    """Every number of the vehicle, its augmented states, the sensors and their mounts.
 
     What is noise is found by asking the models: a number that changes how a step or a reading
     scatters, but not what it is without noise.
@@ -108,21 +108,23 @@ def _named(there: Sequence[Tunable], name: str) -> Tunable:
 
 def _of_vehicle(rig: Rig) -> list[Tunable]:
     vehicle, at = rig.vehicle, ("vehicle",)
-    slow: Mapping[str, Any] = {}
+    augmented: Mapping[str, Any] = {}
     if isinstance(vehicle, Augmented):
-        vehicle, at, slow = vehicle.vehicle, ("vehicle", "vehicle"), vehicle.slow
+        vehicle, at, augmented = vehicle.vehicle, ("vehicle", "vehicle"), vehicle.augmented
     found = [
         Tunable(f"vehicle.parameters.{name}", (*at, name), value, unit, False)
         for name, value, unit in _numbers(vehicle)
         # What is estimated with the state is not tuned.
-        if name not in slow
+        if name not in augmented
     ]
-    for name, quantity in slow.items():
-        for field, unit in (("walk", ""), ("time_constant", "s")):
+    for name, quantity in augmented.items():
+        for field, unit in (("random_walk", ""), ("time_constant", "s")):
             value = float(getattr(quantity, field))
             if np.isfinite(value):
-                key = f"vehicle.slow.{name}.{field}"
-                found.append(Tunable(key, ("vehicle", "slow", name, field), value, unit, False))
+                key = f"vehicle.augmented.{name}.{field}"
+                found.append(
+                    Tunable(key, ("vehicle", "augmented", name, field), value, unit, False)
+                )
     return found
 
 
@@ -192,7 +194,7 @@ def _are_noise(rig: Rig, chosen: Sequence[Tunable]) -> list[bool]:
 def _moved(vehicle: AbstractVehicle, share: float) -> Float[Array, " n"]:
     """Where a second with some noise leads from a state that is none in particular."""
     state, density = vehicle.start(), vehicle.noise_density()
-    control = jax.tree.map(lambda leaf: leaf + 0.1, as_arrays(vehicle.drive(1.0)))
+    control = jax.tree.map(lambda leaf: leaf + 0.1, as_arrays(vehicle.nominal_control(1.0)))
     state = space(state).boxplus(state, _nudge(state))
     noise = jax.tree.map(lambda leaf: share * leaf, density)
     return space(state).boxminus(vehicle.step(state, control, noise, 1.0), state)

@@ -79,7 +79,7 @@ def tune(
     truth: Truth | None = None,
     until: float | int = np.inf,
     search: Search | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Tuned:
     r"""Find the values under which the log up to ``until`` seconds is least surprising.
 
@@ -107,13 +107,13 @@ def tune(
     first = evaluator.coordinates([t.value for t in chosen])
     start = evaluator(first)
     evaluator.begin(start)
-    say(f"tuning {len(chosen)} numbers on {evaluator.judged} judgements")
+    progress(f"tuning {len(chosen)} numbers on {evaluator.judged} judgements")
 
     box = np.sort([evaluator.coordinates(low), evaluator.coordinates(high)], axis=0)
     attempts = []
     for number, begin in enumerate(_starts(evaluator, first, box, search), start=1):
         attempts.append(_descend(evaluator, begin, box, search.iterations))
-        say(f"start {number} of {search.starts}: {attempts[-1].loss:.6g} by judgement")
+        progress(f"start {number} of {search.starts}: {attempts[-1].loss:.6g} by judgement")
     best = min(attempts, key=lambda attempt: attempt.loss)
     point, shape = curvature(evaluator, best.point, box)
     final = evaluator(point)

@@ -1,6 +1,6 @@
 """Any vehicle with slowly varying quantities added to its state: biases, scales, currents.
 
-A slow quantity that has the name of a parameter of the vehicle takes that parameter's place
+An augmented state that has the name of a parameter of the vehicle takes that parameter's place
 in ``step``; one that has the name of an optional field of a sensor is read by the sensor. So
 no vehicle and no sensor needs a second version with its biases estimated.
 """
@@ -16,31 +16,31 @@ from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import SLOW, Chart, charts_of, space
+from kedge.core.manifolds import AUGMENTED, Chart, charts_of, space
 from kedge.core.quantities import Scalar
 
 
-class Slow(eqx.Module):
-    r"""How a slow quantity wanders: $\dot s = (s_0 - s) / \tau + w$.
+class GaussMarkov(eqx.Module):
+    r"""How an augmented state wanders: $\dot s = (s_0 - s) / \tau + w$.
 
-    ``walk`` is the density of w in the quantity's unit per second per root hertz; with the
+    ``random_walk`` is the density of w, in the state's unit per second per root hertz; with the
     default time constant the quantity is a random walk.
     """
 
     nominal: Scalar | Float[Array, " k"]
-    walk: Scalar = 0.0
+    random_walk: Scalar = 0.0
     time_constant: Scalar = float("inf")  # s
 
 
 class Augmented(AbstractVehicle[Any, Any, Any]):
-    """A vehicle and its slow quantities.
+    """A vehicle and its augmented states.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 11.2 (state augmentation).
     """
 
     vehicle: AbstractVehicle
-    slow: dict[str, Slow]
+    augmented: dict[str, GaussMarkov]
     charts: tuple[tuple[str, Chart], ...] = eqx.field(static=True)
 
     def step(self, state: Any, control: Any, noise: Any, dt: Scalar) -> Any:
@@ -50,11 +50,11 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
             if hasattr(vehicle, name):
                 value = self._after(name, state, dt / 2)
                 vehicle = eqx.tree_at(lambda v, n=name: getattr(v, n), vehicle, value)
-        inner, walks = type(vehicle.start()), type(vehicle.noise_density())
+        inner, noises = type(vehicle.start()), type(vehicle.noise_density())
         moved = vehicle.step(
             inner(*state[: len(inner._fields)]),
             control,
-            walks(*noise[: len(walks._fields)]),
+            noises(*noise[: len(noises._fields)]),
             dt,
         )
         after = (
@@ -63,29 +63,31 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
         return type(state)(*moved, *after)
 
     def _after(self, name: str, state: Any, time: Scalar) -> Any:
-        """A slow quantity after some time without noise."""
-        slow = self.slow[name]
-        decay = jnp.exp(-time / slow.time_constant)
-        return slow.nominal + (getattr(state, name) - slow.nominal) * decay
+        """An augmented state after some time without noise."""
+        augmented = self.augmented[name]
+        decay = jnp.exp(-time / augmented.time_constant)
+        return augmented.nominal + (getattr(state, name) - augmented.nominal) * decay
 
     def noise_density(self) -> Any:
         """The vehicle's, then the walks."""
         inner = self.vehicle.noise_density()
-        walks = (jnp.full(c.shape, self.slow[name].walk) for name, c in self.charts)
-        return _widened(type(inner), self.charts)(*inner, *walks)
+        random_walks = (
+            jnp.full(c.shape, self.augmented[name].random_walk) for name, c in self.charts
+        )
+        return _widened(type(inner), self.charts)(*inner, *random_walks)
 
     def start(self) -> Any:
         """The vehicle's, then the nominal values."""
         inner = self.vehicle.start()
         nominal = (
-            jnp.broadcast_to(jnp.asarray(self.slow[name].nominal, float), c.shape)
+            jnp.broadcast_to(jnp.asarray(self.augmented[name].nominal, float), c.shape)
             for name, c in self.charts
         )
         return _widened(type(inner), self.charts)(*inner, *nominal)
 
-    def drive(self, time: Scalar) -> Any:
+    def nominal_control(self, time: Scalar) -> Any:
         """The vehicle's."""
-        return self.vehicle.drive(time)
+        return self.vehicle.nominal_control(time)
 
     def longest_step(self) -> float:
         """The vehicle's."""
@@ -96,46 +98,48 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
         return self.vehicle.control_limits()
 
 
-class Wander(NamedTuple):
-    """What a rig says of a slow quantity."""
+class Drift(NamedTuple):
+    """What a rig says of an augmented state."""
 
-    walk: float = 0.0
+    random_walk: float = 0.0
     time_constant: float = float("inf")
 
 
 def augment(
-    vehicle: AbstractVehicle, slow: Mapping[str, Wander], sensors: Sequence[AbstractSensor]
+    vehicle: AbstractVehicle, augmented: Mapping[str, Drift], sensors: Sequence[AbstractSensor]
 ) -> AbstractVehicle:
-    """Add slow quantities to a vehicle's state; their nominal values and charts are found.
+    """Add augmented states to a vehicle's state; their nominal values and charts are found.
 
     Raises:
         ContractError: a name is neither a parameter of the vehicle nor an optional field of a
             sensor, or is in the state already.
     """
-    if not slow:
+    if not augmented:
         return vehicle
     known = _candidates(vehicle, sensors)
     taken = space(vehicle.start()).cls._fields
     found, charts = {}, []
-    for name, wander in slow.items():
+    for name, wander in augmented.items():
         if name in taken:
-            raise ContractError(f"slow quantity {name!r} is in the vehicle's state already")
+            raise ContractError(f"augmented state {name!r} is in the vehicle's state already")
         if name not in known:
             raise ContractError(
-                f"slow quantity {name!r} is neither a parameter of the vehicle nor an optional "
-                f"field of a sensor; there are {', '.join(sorted(known)) or 'none'}"
+                f"augmented state {name!r} is neither a parameter of the vehicle nor an "
+                f"optional field of a sensor; there are {', '.join(sorted(known)) or 'none'}"
             )
         chart, nominal = known[name]
-        found[name] = Slow(1.0 * jnp.asarray(nominal), wander.walk, wander.time_constant)
+        found[name] = GaussMarkov(
+            1.0 * jnp.asarray(nominal), wander.random_walk, wander.time_constant
+        )
         charts.append((name, chart))
     return Augmented(vehicle, found, tuple(charts))
 
 
-def sharing_slow(vehicle: AbstractVehicle, other: AbstractVehicle) -> AbstractVehicle:
-    """A vehicle with the slow quantities of another, whether it heeds them or not."""
+def sharing_augmented(vehicle: AbstractVehicle, other: AbstractVehicle) -> AbstractVehicle:
+    """A vehicle with the augmented states of another, whether it heeds them or not."""
     if not isinstance(other, Augmented):
         return vehicle
-    return Augmented(vehicle, other.slow, other.charts)
+    return Augmented(vehicle, other.augmented, other.charts)
 
 
 def _candidates(
@@ -168,6 +172,6 @@ def _charts_of_parameters(cls: type) -> dict[str, Chart]:
 def _widened(cls: Any, extra: tuple[tuple[str, Chart], ...]) -> Any:
     """The ``NamedTuple`` class of ``cls`` with fields added; one class for equal arguments."""
     fields = list(get_type_hints(cls, include_extras=True).items())
-    fields += [(n, Annotated[Any, c, SLOW]) for n, c in extra]
+    fields += [(n, Annotated[Any, c, AUGMENTED]) for n, c in extra]
     create: Any = NamedTuple  # a type checker wants the fields written out
     return create(f"Augmented{cls.__name__}", fields)

@@ -93,5 +93,5 @@ class BodyTwist(AbstractVehicle[State, Control, Noise]):
         level = jnp.array([1.0, 0.0, 0.0, 0.0])
         return State(jnp.zeros(3), level, jnp.array([1.5, 0.0, 0.0]), jnp.zeros(3))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()

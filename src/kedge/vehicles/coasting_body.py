@@ -68,5 +68,5 @@ class CoastingBody(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(jnp.zeros(2), jnp.array(0.0), jnp.array([0.5, 0.2]), jnp.array(0.1))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()

@@ -87,5 +87,5 @@ class Commanded(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(jnp.zeros(2), heading=jnp.array(0.0), yaw_rate=jnp.array(0.0))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control(speed=jnp.array(0.3), yaw_rate=0.5 * jnp.sin(0.3 * time))

@@ -53,7 +53,7 @@ class ConstantVelocity(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return _start()
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()
 
 
@@ -82,7 +82,7 @@ class DiscreteWhiteAcceleration(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return _start()
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()
 
 
@@ -119,7 +119,7 @@ class ContinuousWhiteAcceleration(AbstractVehicle[State, Control, ContinuousNois
     def start(self) -> State:
         return _start()
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()
 
 

@@ -25,7 +25,7 @@ class DifferentialDrive(AbstractVehicle[State, Control, Control]):
     r"""Wheel speeds drive speed and yaw rate; position is the middle of the axle.
 
     $v = (v_r + v_l)/2,\ \omega = (v_r - v_l)/b$ with $v_i = s_i u_i + w_i$, advanced along the
-    exact chord of the arc. Track width b and scales can be estimated as slow states.
+    exact chord of the arc. Track width b and scales can be estimated as augmented states.
 
     Source: R. Siegwart, I. Nourbakhsh, "Introduction to Autonomous Mobile Robots", 2004,
     sections 3.2 and 5.2.4.
@@ -52,5 +52,5 @@ class DifferentialDrive(AbstractVehicle[State, Control, Control]):
     def start(self) -> State:
         return State(position=jnp.zeros(2), heading=jnp.array(0.0))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control(left=0.8 - 0.1 * jnp.sin(0.2 * time), right=jnp.array(0.8))

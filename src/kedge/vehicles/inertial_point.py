@@ -46,5 +46,5 @@ class InertialPoint(AbstractVehicle[State, Control, ContinuousNoise]):
     def start(self) -> State:
         return State(jnp.zeros(2), jnp.array([1.0, 0.5]))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control(0.3 * jnp.stack([jnp.sin(0.5 * time), jnp.cos(0.5 * time)]))

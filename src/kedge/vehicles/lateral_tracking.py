@@ -84,7 +84,7 @@ class AbstractLateral(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(*map(jnp.asarray, (0.0, 0.0, 1.0, 0.0, 0.0)))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         none = 0.0 * jnp.asarray(time)
         return Control(0.01 * jnp.sin(0.5 * time), none, none)
 

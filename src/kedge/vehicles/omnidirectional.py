@@ -137,7 +137,7 @@ class Omnidirectional(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(position=jnp.zeros(2), heading=jnp.array(0.0))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         turning = Twist(jnp.array([0.0, -0.157]), 0.157 + 0.0 * jnp.asarray(time))
         return Control(self.wheel_rates(turning))
 

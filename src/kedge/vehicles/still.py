@@ -39,5 +39,5 @@ class Still(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(jnp.zeros(2))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()

@@ -1,7 +1,7 @@
 """Strapdown inertial navigation: an inertial measurement unit (IMU) drives the state.
 
 What all forms share: the errors of the IMU, and what a step of its readings amounts to. With
-slow states for the two biases any of them is the 15-state error-state filter.
+augmented states for the two biases any of them is the 15-state error-state filter.
 """
 
 import abc
@@ -77,9 +77,9 @@ class AbstractStrapdown(AbstractVehicle[Any, Any, Imu]):
     r"""A state driven by what gyroscopes and accelerometers read.
 
     They read $\tilde\omega = (1 + s_\omega) \omega + b_\omega + w_\omega$ and likewise the
-    specific force f; biases and scale errors are one number, or slow states with one for each
-    axis. Readings are held over a step. With ``slopes`` the log gives their change within it
-    too (``control.sampling``), and coning and sculling are compensated.
+    specific force f; biases and scale errors are one number, or augmented states with one for
+    each axis. Readings are held over a step. With ``slopes`` the log gives their change within
+    it too (``control.sampling``), and coning and sculling are compensated.
 
     Source: P. Savage, "Strapdown inertial navigation integration algorithm design", J. Guid.
     Control Dyn. 21(1) and 21(2), 1998, equations 47 (coning) and 21 (sculling), for readings
@@ -126,7 +126,7 @@ class AbstractStrapdown(AbstractVehicle[Any, Any, Imu]):
     def noise_density(self) -> Imu:
         return Imu(jnp.full(3, self.accelerometer_noise), jnp.full(3, self.gyroscope_noise))
 
-    def drive(self, time: Scalar) -> Any:
+    def nominal_control(self, time: Scalar) -> Any:
         turn = 0.5 * jnp.sin(0.4 * time)
         force = jnp.stack([jnp.cos(0.7 * time), 5.0 * turn, jnp.full_like(turn, 9.81)])
         imu = Imu(force, jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn]))

@@ -19,7 +19,7 @@ class Undriven(AbstractVehicle[Any, Any, Any]):
     driven: AbstractVehicle
 
     def step(self, state: Any, control: Any, noise: Any, dt: Scalar) -> Any:
-        return self.vehicle.step(state, self.vehicle.drive(0.0), noise, dt)
+        return self.vehicle.step(state, self.vehicle.nominal_control(0.0), noise, dt)
 
     def noise_density(self) -> Any:
         return self.vehicle.noise_density()
@@ -27,8 +27,8 @@ class Undriven(AbstractVehicle[Any, Any, Any]):
     def start(self) -> Any:
         return self.vehicle.start()
 
-    def drive(self, time: Scalar) -> Any:
-        return self.driven.drive(time)
+    def nominal_control(self, time: Scalar) -> Any:
+        return self.driven.nominal_control(time)
 
     def longest_step(self) -> float:
         return self.vehicle.longest_step()

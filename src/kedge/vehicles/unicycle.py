@@ -34,7 +34,7 @@ class Unicycle(AbstractVehicle[State, Control, Control]):
     r"""Noisy odometry on the plane.
 
     $\dot p = (s_v v + w_v) [\cos\psi, \sin\psi]^\top$, $\dot\psi = s_\omega \omega + w_\omega$,
-    advanced along the exact chord of the arc. The scales can be estimated as slow states.
+    advanced along the exact chord of the arc. The scales can be estimated as augmented states.
 
     Source: S. Thrun, W. Burgard, D. Fox, "Probabilistic Robotics", 2005, section 5.3.
     """
@@ -59,5 +59,5 @@ class Unicycle(AbstractVehicle[State, Control, Control]):
     def start(self) -> State:
         return State(position=jnp.zeros(2), heading=jnp.array(0.0))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control(speed=jnp.array(5.0), yaw_rate=0.3 * jnp.sin(0.2 * time))

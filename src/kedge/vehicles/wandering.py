@@ -58,7 +58,7 @@ class Wandering(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return State(position=jnp.zeros(2), velocity=jnp.array([1.0, 0.5]))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()
 
 
@@ -93,7 +93,7 @@ class Wandering3(AbstractVehicle[State3, Control, Noise3]):
     def start(self) -> State3:
         return State3(position=jnp.zeros(3), velocity=jnp.array([1.0, 0.5, 0.0]))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()
 
 

@@ -35,7 +35,7 @@ class SqrtGaussian(NamedTuple):
         return Gaussian(self.mean, self.root @ jnp.swapaxes(self.root, -1, -2))
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        """The same mean, the covariance times ``factor`` but for augmented states."""
         grown = jnp.broadcast_to(stretch(self.mean, factor), self.root.shape[-1:])
         return self._replace(root=self.root * jnp.broadcast_to(grown[:, None], self.root.shape))
 

@@ -42,7 +42,7 @@ class Anchored(NamedTuple):
         return Gaussian(self.mean, self.cov)
 
     def widened(self, factor: Scalar) -> Any:
-        """The same mean, the covariance multiplied by ``factor`` but for slow quantities."""
+        """The same mean, the covariance times ``factor`` but for augmented states."""
         return self._replace(cov=widened_cov(self.mean, self.cov, factor))
 
 

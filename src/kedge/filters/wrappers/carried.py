@@ -131,8 +131,8 @@ class _PartOfVehicle(AbstractVehicle[Any, Any, Any]):
     def start(self) -> Any:
         return _part(self.vehicle.start(), tuple(self.rest))
 
-    def drive(self, time: Scalar) -> Any:
-        return self.vehicle.drive(time)
+    def nominal_control(self, time: Scalar) -> Any:
+        return self.vehicle.nominal_control(time)
 
 
 class _PartOfModel(AbstractMeasurementModel[Any]):

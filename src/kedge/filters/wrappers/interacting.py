@@ -42,9 +42,9 @@ class Restless(AbstractVehicle[Any, Any, Any]):
         """As the vehicle."""
         return self.vehicle.start()
 
-    def drive(self, time: Scalar) -> Any:
+    def nominal_control(self, time: Scalar) -> Any:
         """As the vehicle."""
-        return self.vehicle.drive(time)
+        return self.vehicle.nominal_control(time)
 
 
 @filters.add("interacting")

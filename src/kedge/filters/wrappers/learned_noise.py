@@ -61,9 +61,9 @@ class AbstractNoiseLearner(AbstractWrapper):
                 "0 < floor <= ceiling"
             )
 
-    def aboard(self, sources: tuple[str, ...]) -> AbstractFilter:
+    def bind_sensors(self, sources: tuple[str, ...]) -> AbstractFilter:
         """Remember one factor for each sensor."""
-        return dataclasses.replace(super().aboard(sources), sources=sources)
+        return dataclasses.replace(super().bind_sensors(sources), sources=sources)
 
     def unwrap(self, belief: Any) -> Any:
         """Without what was learned."""

@@ -22,9 +22,9 @@ class AbstractWrapper(AbstractFilter[Any]):
 
     inner: AbstractFilter = ExtendedKalman()
 
-    def aboard(self, sources: tuple[str, ...]) -> AbstractFilter:
+    def bind_sensors(self, sources: tuple[str, ...]) -> AbstractFilter:
         """Pass it on."""
-        return eqx.tree_at(lambda own: own.inner, self, self.inner.aboard(sources))
+        return eqx.tree_at(lambda own: own.inner, self, self.inner.bind_sensors(sources))
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Any:
         """The inner filter's belief."""

@@ -222,12 +222,14 @@ class UnderwaterWorld(AbstractGuidedWorld):
         noise = Noise(shaken[:3], shaken[3:])
         state = vehicle.step(body.state, command, noise, scenario.dt)
         drifting = self.current_walk * root * drifts
-        rest, slow = {}, _slow(scenario)
+        rest, augmented = {}, _slow(scenario)
         for name, value in body.rest.items():
-            own, size = slow[name], max(jnp.size(value), 1)
+            own, size = augmented[name], max(jnp.size(value), 1)
             white, wanders = wanders[:size].reshape(jnp.shape(value)), wanders[size:]
             decay = jnp.exp(-scenario.dt / jnp.asarray(own.time_constant))
-            rest[name] = own.nominal + (value - own.nominal) * decay + own.walk * root * white
+            rest[name] = (
+                own.nominal + (value - own.nominal) * decay + own.random_walk * root * white
+            )
         after = Body(state, body.current + drifting, rest, body.hull, body.trim_moment)
         if _trims(scenario):
             after = after._replace(trim_moment=self.unexplained(after, command))
@@ -266,7 +268,7 @@ def _slow(scenario: Scenario) -> dict[str, Any]:
     vehicle = scenario.rig.vehicle
     if not isinstance(vehicle, Augmented):
         return {}
-    return {name: vehicle.slow[name] for name, _ in vehicle.charts if name not in APART}
+    return {name: vehicle.augmented[name] for name, _ in vehicle.charts if name not in APART}
 
 
 @ft.cache
@@ -282,7 +284,7 @@ def _told(scenario: Scenario, command: Control) -> Any:
     Raises:
         ContractError: it is driven by something else.
     """
-    cls = type(scenario.rig.vehicle.drive(0.0))
+    cls = type(scenario.rig.vehicle.nominal_control(0.0))
     if lacking := [field for field in cls._fields if field not in Control._fields]:
         raise ContractError(
             f"world: the rig's vehicle is driven by {lacking}, of which this world knows "

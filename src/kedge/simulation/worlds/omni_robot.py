@@ -169,7 +169,7 @@ class OmniRobot(AbstractGuidedWorld):
 
     def fix(self, installation: Installation, target: Int[Array, ""], reading: Any) -> dict:
         """The pose at which a landmark would be seen exactly so."""
-        camera: Any = installation.sensor.facing(target)
+        camera: Any = installation.sensor.for_target(target)
         landmark = camera.target
         heading = wrap(landmark.heading - reading.orientation)
         ahead, left = direction(heading), direction(heading + jnp.pi / 2)

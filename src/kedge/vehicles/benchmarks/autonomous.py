@@ -59,5 +59,5 @@ class AbstractAutonomous(AbstractOdeVehicle[Any, Control, Any]):
         start = self.start()
         return type(start)(jnp.full(start.values.shape, self.process_noise))
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return Control()

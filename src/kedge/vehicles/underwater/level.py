@@ -47,9 +47,9 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
 
     $\dot x = u \cos\psi - v \sin\psi,\ \dot y = u \sin\psi + v \cos\psi,\ \dot z = w,\
     \dot\psi = r$, and the velocities as in :mod:`kedge.vehicles.underwater.hydrodynamics`,
-    upright. A torpedo dives by pitching, which this model cannot do; it exists so that published
-    experiments can be repeated, with ``integrator`` "euler" by their rule. For navigation use
-    "underwater".
+    upright. A torpedo dives by pitching, which this model cannot do; it exists so that
+    published experiments can be repeated, with ``integrator`` "euler" by their rule. For
+    navigation use "underwater".
 
     Raises:
         ContractError: an unknown integrator.
@@ -92,7 +92,7 @@ class LevelUnderwater(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return _start()
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return _drive(as_coefficients(self.coefficients), time)
 
 
@@ -119,7 +119,7 @@ class LevelTwist(AbstractVehicle[State, Control, Noise]):
     def start(self) -> State:
         return _start()
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         return _drive(as_coefficients("remus100-adjusted"), time)
 
 

@@ -72,7 +72,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     order. With ``linear`` forces and moments are linearised about straight and level travel at
     the cruise of ``Xprop``, as much of the literature has it; position and attitude follow
     exactly. ``thrust_scale``, ``drag_scale`` (axial), ``current`` and ``trim_moment`` can be
-    estimated as slow quantities; the last is a pitching moment, nose up positive, that no
+    estimated as augmented states; the last is a pitching moment, nose up positive, that no
     coefficient explains: ballast that lies elsewhere than said, lift and fins not as said.
 
     The REMUS hull is unstable in yaw and pitch without a pilot.
@@ -171,7 +171,7 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
         none = jnp.zeros(3)
         return State(none, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([1.5, 0.0, 0.0]), none)
 
-    def drive(self, time: Scalar) -> Control:
+    def nominal_control(self, time: Scalar) -> Control:
         hull, none = self.hull, 0.0 * jnp.asarray(time)
         fins = 0.05 * jnp.sin(0.5 * time), 0.05 * jnp.cos(0.3 * time)
         return Control(hull.Xprop + none, hull.Kprop + none, *fins)

@@ -12,14 +12,14 @@ from kedge.sensors.landmarks import Landmarks
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
 from kedge.testing import quick_jit
-from kedge.vehicles.augmented import Wander, augment
+from kedge.vehicles.augmented import Drift, augment
 from kedge.vehicles.unicycle import Unicycle
 
 
 def test_slow_quantities_are_found():
     """The truth has a scale of 1.1 and a bias of .05 rad; the filter starts from 1 and 0."""
     camera = Landmarks()
-    slow = {"speed_scale": Wander(), "bearing_bias": Wander()}
+    slow = {"speed_scale": Drift(), "bearing_bias": Drift()}
     vehicle = augment(Unicycle(speed_noise=0.05), slow, (camera,))
     sensors = (Installation("camera", camera),)
     real = vehicle.start()._replace(speed_scale=jnp.array(1.1), bearing_bias=jnp.array(0.05))
