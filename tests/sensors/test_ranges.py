@@ -28,7 +28,7 @@ duration = 1.0
 filters = ["extended"]
 [vehicle]
 model = "unicycle"
-slow = { anchor_bias = { std = 0.3 }, range_scale = { std = 0.1 } }
+augmented = { anchor_bias = { std = 0.3 }, range_scale = { std = 0.1 } }
 [sensors.radio]
 model = "ranges"
 map = "anchors"
