@@ -85,7 +85,7 @@ import json, sys
 found = [item["metadata"] for item in json.load(sys.stdin)["install"]]
 pins = {item["name"].lower().replace("_", "-"): item["version"] for item in found}
 print("# Written by 'make constraints'; tested as it stands. Works on Python 3.11 to 3.13.")
-print(*(f"{name}=={pins[name]}" for name in sorted(pins) if name != "kedge"), sep="\n")
+print(*(f"{name}=={pins[name]}" for name in sorted(pins) if name != "kedge-nav"), sep="\n")
 endef
 export PIN
 
@@ -104,11 +104,11 @@ $(BIN)/python:
 
 # $(call install,EXTRAS): one line for each large download, pip's own words only if it fails.
 define install
-	@echo "installing kedge[$(1)]: a few minutes when nothing is cached ..."
+	@echo "installing kedge-nav[$(1)]: a few minutes when nothing is cached ..."
 	@set -o pipefail; $(BIN)/python -m pip install --progress-bar off --constraint constraints.txt \
 	  --editable '.[$(1)]' 2>&1 | tee .venv/pip.log \
 	  | sed -nE 's/^ *(Downloading|Using cached) ([^ ]*\/)?([^ /]+) (\([0-9.]+ MB\)).*/  \3 \4/p' \
-	  || { tail -n 30 .venv/pip.log >&2; echo "pip could not install kedge[$(1)]; it says why above" >&2; exit 1; }
+	  || { tail -n 30 .venv/pip.log >&2; echo "pip could not install kedge-nav[$(1)]; it says why above" >&2; exit 1; }
 endef
 
 .venv/.studio: pyproject.toml constraints.txt | $(BIN)/python

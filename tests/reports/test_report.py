@@ -188,6 +188,6 @@ def test_without_a_run_nothing_is_written(drive, tmp_path):
 @pytest.mark.parametrize("name", ["jinja2", "matplotlib"])
 def test_a_missing_extra_is_named(name, drive, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(KedgeError, match=rf"needs {name}.*pip install 'kedge\[studio\]'"):
+    with pytest.raises(KedgeError, match=rf"needs {name}.*pip install 'kedge-nav\[studio\]'"):
         write_report(tmp_path / "out", drive)
     assert not (tmp_path / "out").exists()

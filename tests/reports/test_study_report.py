@@ -171,7 +171,7 @@ def test_the_same_content_gives_the_same_bytes(written, buoy, tmp_path):
 
 def test_a_missing_extra_is_named_before_anything_is_computed(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    with pytest.raises(KedgeError, match=r"pip install 'kedge\[studio\]'"):
+    with pytest.raises(KedgeError, match=r"pip install 'kedge-nav\[studio\]'"):
         require_studio()
 
 

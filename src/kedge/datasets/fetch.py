@@ -94,7 +94,7 @@ def fetch(name: str) -> Path:
     try:
         import pooch
     except ImportError:
-        raise DataError("downloading needs pooch: pip install 'kedge[studio]'") from None
+        raise DataError("downloading needs pooch: pip install 'kedge-nav[studio]'") from None
     root = user_cache_path("kedge") / "datasets"
     target = root / entry.folder
     try:

@@ -1,7 +1,7 @@
 """The messages of ROS 1 and ROS 2 bags and of MCAP files, decoded with the definitions in them.
 
 Bags are read by ``rosbags``, single MCAP files by ``mcap``: messages as ROS 1, ROS 2 (CDR),
-Protobuf or JSON. Both come with ``pip install 'kedge[ros]'``.
+Protobuf or JSON. Both come with ``pip install 'kedge-nav[ros]'``.
 """
 
 import json
@@ -49,7 +49,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
                 bag = _ros(path, stack)
         except ImportError:
             raise DataError(
-                f"{path}: reading bags needs more packages: pip install 'kedge[ros]'"
+                f"{path}: reading bags needs more packages: pip install 'kedge-nav[ros]'"
             ) from None
         yield bag
 

@@ -137,7 +137,7 @@ def studio(module: str) -> Any:
     except ModuleNotFoundError as error:
         raise KedgeError(
             f"a report needs {error.name}, which is not installed; "
-            "install it with: pip install 'kedge[studio]'"
+            "install it with: pip install 'kedge-nav[studio]'"
         ) from error
 
 

@@ -148,7 +148,7 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
     except ModuleNotFoundError as error:
         raise KedgeError(
             f"--engine dask needs {error.name}, which is not installed; "
-            "install it with: pip install 'kedge[distributed]'"
+            "install it with: pip install 'kedge-nav[distributed]'"
         ) from error
     try:
         client: Any = distributed.Client(scheduler, timeout=ANSWER, set_as_default=False)
