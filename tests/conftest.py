@@ -45,7 +45,9 @@ if jax.__version_info__ < (0, 11):
 # the other one ask for it.
 os.environ.setdefault("KEDGE_ENGINE", "xla")
 os.environ.setdefault(
-    "KEDGE_NATIVE_CACHE", str(Path(__file__).parents[1] / "build" / "native-cache")
+    # Without links: the cache follows none.
+    "KEDGE_NATIVE_CACHE",
+    str((Path(__file__).parents[1] / "build" / "native-cache").resolve()),
 )
 
 jax.config.update("jax_enable_x64", True)

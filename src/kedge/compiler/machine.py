@@ -3,14 +3,11 @@
 import ctypes
 import functools as ft
 import hashlib
-import os
 from collections.abc import Callable
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
-from platformdirs import user_cache_path
-
+from kedge.compiler import cache
 from kedge.compiler.emit import NAME
 from kedge.compiler.graph import Unsupported
 
@@ -27,12 +24,6 @@ class Code:
 def is_available() -> bool:
     """Whether LLVM is installed (the extra ``native``)."""
     return find_spec("llvmlite") is not None
-
-
-def cache_folder() -> Path:
-    """Where compiled functions are kept: ``KEDGE_NATIVE_CACHE`` or the user's cache."""
-    given = os.environ.get("KEDGE_NATIVE_CACHE")
-    return Path(given) if given else user_cache_path("kedge") / "native"
 
 
 @ft.cache
@@ -77,30 +68,26 @@ def compile_text(text: str) -> Code:
     Raises:
         Unsupported: LLVM does not accept it.
     """
-    llvm = _target()
-    path = cache_folder() / f"{key_of(text)}.o"
-    machine = _machine()
-    try:
-        kept = path.read_bytes()
-    except OSError:
-        kept = None
-    if kept is not None:
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(kept))
-        engine.finalize_object()
-        return Code(engine)
+    llvm, key = _target(), key_of(text)
+    code = cache.load(key)
+    if code is None:
+        code = _compiled(text)
+        cache.store(key, code)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return Code(engine)
+
+
+def _compiled(text: str) -> bytes:
+    llvm, machine = _target(), _machine()
     try:
         module = llvm.parse_assembly(text)
         module.verify()
     except RuntimeError as error:
         raise Unsupported(f"LLVM: {str(error)[:300]}") from error
     _optimise(llvm, machine, module)
-    made = machine.emit_object(module)
-    _keep(path, made)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(made))
-    engine.finalize_object()
-    return Code(engine)
+    return machine.emit_object(module)
 
 
 def _optimise(llvm: Any, machine: Any, module: Any) -> None:
@@ -108,14 +95,3 @@ def _optimise(llvm: Any, machine: Any, module: Any) -> None:
     options.loop_vectorization = options.slp_vectorization = options.loop_unrolling = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
-
-
-def _keep(path: Path, made: bytes) -> None:
-    """Write whole or not at all; a cache that cannot be written is no error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_bytes(made)
-        part.replace(path)
-    except OSError:
-        pass
