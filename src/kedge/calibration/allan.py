@@ -83,13 +83,13 @@ def fit(curves: list[AllanCurve]) -> AllanFit:
     if not squared.any():
         return AllanFit(0.0, 0.0, 0.0)
     shapes, model = np.array(_shapes(tau)).T, np.maximum(squared, squared[squared > 0].min())
-    found = np.zeros(3)
+    coefficients = np.zeros(3)
     for _ in range(20):
         weight = np.sqrt(freedom) / model
         scale = np.linalg.norm(shapes * weight[:, None], axis=0)
-        found = nnls(shapes * weight[:, None] / scale[None], squared * weight)[0] / scale
-        model = shapes @ found
-    return AllanFit(*(float(np.sqrt(value)) for value in found))
+        coefficients = nnls(shapes * weight[:, None] / scale[None], squared * weight)[0] / scale
+        model = shapes @ coefficients
+    return AllanFit(*(float(np.sqrt(value)) for value in coefficients))
 
 
 def _shapes(tau: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " n"]]:

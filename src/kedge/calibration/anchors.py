@@ -37,8 +37,8 @@ def fit_line(distance: Any, measured: Any, with_scale: bool = True) -> Line:
     Source: P. Huber, E. Ronchetti, "Robust Statistics", 2nd ed., 2009, section 7.8.
     """
     d, z = np.asarray(distance, float).ravel(), np.asarray(measured, float).ravel()
-    there = np.isfinite(d) & np.isfinite(z) & (z > 0)
-    d, z = d[there], z[there]
+    valid = np.isfinite(d) & np.isfinite(z) & (z > 0)
+    d, z = d[valid], z[valid]
     if len(d) < 3:
         raise DataError(f"calibration: found {len(d)} usable ranges, expected 3 or more")
     if with_scale and np.ptp(d) < 1e-3 * max(d.max(), 1e-9):
@@ -52,14 +52,14 @@ def fit_line(distance: Any, measured: Any, with_scale: bool = True) -> Line:
     point = np.array([np.median(z - slope * d), slope][: rows.shape[1]])
     weights, std = np.ones(len(d)), 1.0
     for _ in range(50):
-        left = z - fixed - rows @ point
-        std = max(1.4826 * float(np.median(np.abs(left))), 1e-12)
-        weights = np.maximum(1 - (left / (TUKEY * std)) ** 2, 0.0) ** 2
+        residuals = z - fixed - rows @ point
+        std = max(1.4826 * float(np.median(np.abs(residuals))), 1e-12)
+        weights = np.maximum(1 - (residuals / (TUKEY * std)) ** 2, 0.0) ** 2
         lean = rows * weights[:, None]
         point = np.linalg.solve(lean.T @ rows, lean.T @ (z - fixed))
-    left = z - fixed - rows @ point
+    residuals = z - fixed - rows @ point
     kept = weights > 0
-    std = float(np.sqrt(np.mean(left[kept] ** 2)))
+    std = float(np.sqrt(np.mean(residuals[kept] ** 2)))
     spread = std * np.sqrt(np.diag(np.linalg.inv((rows * weights[:, None]).T @ rows)))
     return Line(
         float(point[0]),
@@ -94,13 +94,13 @@ def calibrate(
         )
     far = np.linalg.norm(p[:, None] - a[None], axis=2)
     far = np.hypot(far, np.broadcast_to(np.asarray(rise, float), len(a))[None])
-    found = []
+    lines = []
     for number in range(len(a)):
         try:
-            found.append(fit_line(far[:, number], z[:, number], with_scale))
+            lines.append(fit_line(far[:, number], z[:, number], with_scale))
         except DataError as error:
             raise DataError(f"anchor {number + 1}: {error}") from error
-    return found
+    return lines
 
 
 def tag_places(position: Any, heading: Any, arm: Any) -> Float[np.ndarray, "n 2"]:
@@ -129,11 +129,13 @@ def link_biases(
     Raises:
         DataError: as :func:`calibrate`.
     """
-    found = []
-    for arm, own in zip(np.asarray(arms, float), np.asarray(ranges, float), strict=True):
+    biases = []
+    for arm, measured in zip(np.asarray(arms, float), np.asarray(ranges, float), strict=True):
         places = tag_places(position, heading, arm)
-        found.append([line.offset for line in calibrate(places, anchors, own, rise, False)])
-    return np.array(found)
+        biases.append(
+            [line.offset for line in calibrate(places, anchors, measured, rise, False)]
+        )
+    return np.array(biases)
 
 
 class Delays(NamedTuple):
@@ -176,10 +178,10 @@ def antenna_delays(pairs: Any, biases: Any, std: Any = 0.05) -> Delays:
 
 def usable_pairs(ranges: Float[np.ndarray, "m m"]) -> Bool[np.ndarray, "m m"]:
     """Pairs that have a range in one or both directions."""
-    there = np.isfinite(ranges) & (ranges > 0)
-    there = there | there.T
-    np.fill_diagonal(there, False)
-    return there
+    usable = np.isfinite(ranges) & (ranges > 0)
+    usable = usable | usable.T
+    np.fill_diagonal(usable, False)
+    return usable
 
 
 def _slope(d: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]) -> float:

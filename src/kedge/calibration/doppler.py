@@ -67,13 +67,13 @@ def calibrate(
         if field not in reference.fields:
             raise DataError(f"calibrate: the reference has no {field}; a Doppler log needs it")
     begin, end = reference.time[0] + LONGEST, reference.time[-1] - LONGEST
-    there = (time >= begin) & (time <= end) & np.isfinite(velocity).all(axis=1)
-    if there.sum() < FEWEST:
+    usable = (time >= begin) & (time <= end) & np.isfinite(velocity).all(axis=1)
+    if usable.sum() < FEWEST:
         raise DataError(
-            f"calibrate: found {there.sum()} readings beside the reference, from {begin:.1f} "
+            f"calibrate: found {usable.sum()} readings beside the reference, from {begin:.1f} "
             f"to {end:.1f} s; expected {FEWEST} or more"
         )
-    time, velocity = time[there], velocity[there]
+    time, velocity = time[usable], velocity[usable]
     turns = Rotation.from_quat(reference.fields["attitude"][:, [1, 2, 3, 0]])
     attitude = RotationSpline(reference.time, turns)
     in_map = CubicSpline(reference.time, turns.apply(reference.fields["velocity_body"]))
@@ -87,10 +87,12 @@ def calibrate(
     high = np.array([2.0, *[np.pi / 4] * 3, *[30.0] * 3, LONGEST])
     low = np.array([0.5, *-high[1:]])
     first = np.array([1.0, *[0.0] * 7])
-    found = least_squares(residuals, first, bounds=(low, high), loss="soft_l1", f_scale=TYPICAL)
-    x, rest = found.x, residuals(found.x)
+    solution = least_squares(
+        residuals, first, bounds=(low, high), loss="soft_l1", f_scale=TYPICAL
+    )
+    x, misfit = solution.x, residuals(solution.x)
     return Calibration(
-        float(x[0]), x[1:4], x[4:7], float(x[7]), float(np.sqrt(np.mean(rest**2)))
+        float(x[0]), x[1:4], x[4:7], float(x[7]), float(np.sqrt(np.mean(misfit**2)))
     )
 
 

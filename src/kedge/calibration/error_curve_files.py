@@ -61,10 +61,10 @@ def read_curves(path: Path) -> dict[str, Curve]:
     Raises:
         ConfigError: the file is missing or wrong; one line for each mistake.
     """
-    found = {}
+    curves = {}
     for name, spec in read_toml(path, StoreConfig).curves.items():
         fields = spec.model_dump()
         gaps = dict.fromkeys(spec.parameters, float("nan"))
         fields["std_errors"] = gaps | fields["std_errors"]
-        found[name] = Curve(**fields)
-    return found
+        curves[name] = Curve(**fields)
+    return curves

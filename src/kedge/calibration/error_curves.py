@@ -62,19 +62,19 @@ def fit_curve(errors: Any, family: str = "normal") -> Curve:
     if family not in FAMILIES:
         raise DataError(unknown("family of error curves", family, list(FAMILIES)))
     kind = FAMILIES[family]
-    found = kind.start(values)
-    if not np.isfinite(kind.log_density(values, **found)).all():
+    parameters = kind.start(values)
+    if not np.isfinite(kind.log_density(values, **parameters)).all():
         raise DataError(
             f"error curve {family!r}: the least error is {values.min():.4g} m, which it cannot "
             "have; expected errors above 0"
         )
     if not kind.closed:
-        found = _searched(kind, values, found)
-    likelihood = float(kind.log_density(values, **found).sum())
-    mean, std = kind.moments(**found)
+        parameters = _searched(kind, values, parameters)
+    likelihood = float(kind.log_density(values, **parameters).sum())
+    mean, std = kind.moments(**parameters)
     return Curve(
-        family, found, _std_errors(kind, values, found), float(mean), float(std), likelihood,
-        2 * len(found) - 2 * likelihood, len(values),
+        family, parameters, _std_errors(kind, values, parameters), float(mean), float(std),
+        likelihood, 2 * len(parameters) - 2 * likelihood, len(values),
     )  # fmt: skip
 
 
@@ -87,13 +87,13 @@ def choose_curve(errors: Any) -> list[Curve]:
     Source: H. Akaike, "A new look at the statistical model identification", IEEE Transactions
     on Automatic Control 19(6), 1974.
     """
-    values, found = _checked(errors), []
+    values, curves = _checked(errors), []
     for family in FAMILIES:
         try:
-            found.append(fit_curve(values, family))
+            curves.append(fit_curve(values, family))
         except DataError:
             continue
-    return sorted(found, key=lambda curve: curve.aic)
+    return sorted(curves, key=lambda curve: curve.aic)
 
 
 def _checked(errors: Any) -> Errors:
@@ -128,21 +128,21 @@ def _searched(kind: Family, values: Errors, start: dict[str, float]) -> dict[str
         return float(total) if np.isfinite(total) else 1e300
 
     settings = {"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000, "maxfev": 8000}
-    found = minimize(loss, _packed(kind, start), method="Nelder-Mead", options=settings)
-    return _unpacked(kind, names, found.x)
+    minimum = minimize(loss, _packed(kind, start), method="Nelder-Mead", options=settings)
+    return _unpacked(kind, names, minimum.x)
 
 
-def _std_errors(kind: Family, values: Errors, found: dict[str, float]) -> dict[str, float]:
+def _std_errors(kind: Family, values: Errors, parameters: dict[str, float]) -> dict[str, float]:
     """From second differences of the log likelihood."""
     if kind is FAMILIES["exponential"]:  # its likelihood has an edge at the shift
-        scale, count = found["scale"], len(values)
+        scale, count = parameters["scale"], len(values)
         return {"shift": scale / count, "scale": scale / count**0.5}
-    names, point = list(found), np.array(list(found.values()))
+    names, point = list(parameters), np.array(list(parameters.values()))
     steps = 1e-4 * np.maximum(np.abs(point), values.std())
 
     def total(shift: np.ndarray) -> float:
-        moved = dict(zip(names, (point + shift).tolist(), strict=True))
-        return float(kind.log_density(values, **moved).sum())
+        shifted = dict(zip(names, (point + shift).tolist(), strict=True))
+        return float(kind.log_density(values, **shifted).sum())
 
     size = len(names)
     hessian = np.empty((size, size))
@@ -183,8 +183,8 @@ def _emg(x: Errors, mean: float, std: float, tail: float) -> Errors:
     from scipy.special import log_ndtr
 
     ahead = (x - mean) / std
-    left = std / tail
-    return -np.log(tail) + left**2 / 2 - ahead * left + log_ndtr(ahead - left)
+    ratio = std / tail
+    return -np.log(tail) + ratio**2 / 2 - ahead * ratio + log_ndtr(ahead - ratio)
 
 
 def _mixture(
@@ -200,20 +200,20 @@ def _mixture_start(x: Errors) -> dict[str, float]:
     """By expectation maximisation, from the halves below and above the median."""
     middle, spread = np.median(x), max(x.std(), 1e-9)
     low, high = x[x <= middle].mean(), x[x > middle].mean()
-    own, other, share = spread / 2, spread, 0.5
+    narrow, wide, share = spread / 2, spread, 0.5
     floor = 1e-3 * spread  # a component that shrinks to one error would be infinitely likely
     for _ in range(200):
         logs = (
-            np.log(share) + _normal(x, high, other) - _mixture(x, low, own, high, other, share)
+            np.log(share) + _normal(x, high, wide) - _mixture(x, low, narrow, high, wide, share)
         )
         gamma = np.exp(logs)
         share = float(np.clip(gamma.mean(), 1e-6, 1 - 1e-6))
         low, high = ((1 - gamma) @ x / (1 - gamma).sum(), gamma @ x / gamma.sum())
-        own = max(np.sqrt((1 - gamma) @ (x - low) ** 2 / (1 - gamma).sum()), floor)
-        other = max(np.sqrt(gamma @ (x - high) ** 2 / gamma.sum()), floor)
+        narrow = max(np.sqrt((1 - gamma) @ (x - low) ** 2 / (1 - gamma).sum()), floor)
+        wide = max(np.sqrt(gamma @ (x - high) ** 2 / gamma.sum()), floor)
     return {
-        "mean": float(low), "std": float(own), "blocked_mean": float(high),
-        "blocked_std": float(other), "share": share,
+        "mean": float(low), "std": float(narrow), "blocked_mean": float(high),
+        "blocked_std": float(wide), "share": share,
     }  # fmt: skip
 
 

@@ -64,17 +64,17 @@ def fit_histogram(errors: Any, bins: int = 20) -> HistogramFit:
         return value - counts / peak, slopes
 
     def loss(point: np.ndarray) -> tuple[float, np.ndarray]:
-        left, slopes = parts(point)
-        return float(left @ left), 2 * slopes.T @ left
+        misfit, slopes = parts(point)
+        return float(misfit @ misfit), 2 * slopes.T @ misfit
 
-    found = minimize(loss, begin, jac=True, method="BFGS", options={"gtol": 1e-10}).x
-    left, slopes = parts(found)
-    variance = left @ left / max(bins - 3, 1)
+    optimum = minimize(loss, begin, jac=True, method="BFGS", options={"gtol": 1e-10}).x
+    misfit, slopes = parts(optimum)
+    variance = misfit @ misfit / max(bins - 3, 1)
     spread = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)) * variance)
-    std = float(units[1] * np.exp(found[2]))
+    std = float(units[1] * np.exp(optimum[2]))
     return HistogramFit(
-        float(found[0] * units[0]),
-        float(found[1] * units[1]),
+        float(optimum[0] * units[0]),
+        float(optimum[1] * units[1]),
         std,
         (float(spread[0] * units[0]), float(spread[1] * units[1]), float(spread[2] * std)),
         centres,

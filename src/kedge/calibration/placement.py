@@ -30,13 +30,13 @@ def area(places: Any, walls: Any = (), std: float = 0.05, blocked_std: float = n
     Raises:
         DataError: no places, or none in the plane; noise that is not above 0.
     """
-    found = np.asarray(places, float)
-    if found.ndim != 2 or found.shape[1] != 2 or not len(found):
-        raise DataError(f"placement: found places {found.shape}, expected n x 2, 1 or more")
+    points = np.asarray(places, float)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points):
+        raise DataError(f"placement: found places {points.shape}, expected n x 2, 1 or more")
     ends = np.asarray(walls, float).reshape(-1, 2, 2)
     if not (std > 0 and blocked_std > 0):
         raise DataError(f"placement: found noise {std:g} and {blocked_std:g} m, expected > 0")
-    return Area(found, ends, std, blocked_std)
+    return Area(points, ends, std, blocked_std)
 
 
 def blocked(area: Area, anchors: Any) -> Bool[np.ndarray, "n m"]:
@@ -82,44 +82,44 @@ def chosen(area: Area, candidates: Any, count: int) -> Int[np.ndarray, " count"]
             "more and no more than there are"
         )
 
-    def cost(own: list[int]) -> tuple[int, float, float]:
-        information = parts[:, own].sum(axis=1)
+    def cost(selection: list[int]) -> tuple[int, float, float]:
+        information = parts[:, selection].sum(axis=1)
         rms = _rms(information)
         seen = np.isfinite(rms)
         # Where there is no fix yet, some information is better than none.
-        told = np.trace(information, axis1=1, axis2=2).sum()
-        return int((~seen).sum()), float((rms[seen] ** 2).sum()), -float(told)
+        total = np.trace(information, axis1=1, axis2=2).sum()
+        return int((~seen).sum()), float((rms[seen] ** 2).sum()), -float(total)
 
     def best(others: list[int]) -> list[int]:
-        rest = [i for i in range(parts.shape[1]) if i not in others]
-        return min(([*others, i] for i in rest), key=cost)
+        candidates_left = [i for i in range(parts.shape[1]) if i not in others]
+        return min(([*others, i] for i in candidates_left), key=cost)
 
-    own: list[int] = []
+    selection: list[int] = []
     for _ in range(count):
-        own = best(own)
+        selection = best(selection)
     for _ in range(ROUNDS):
-        before = cost(own)
+        before = cost(selection)
         for place in range(count):
-            own = best(own[:place] + own[place + 1 :])
-        if not cost(own) < before:
+            selection = best(selection[:place] + selection[place + 1 :])
+        if not cost(selection) < before:
             break
-    return np.sort(np.array(own))
+    return np.sort(np.array(selection))
 
 
 def _information(area: Area, anchors: Any) -> Float[np.ndarray, "n m 2 2"]:
     """What each anchor tells at each place."""
-    found = np.asarray(anchors, float)
-    away = area.places[:, None] - found[None]
+    positions = np.asarray(anchors, float)
+    away = area.places[:, None] - positions[None]
     unit = away / np.maximum(np.linalg.norm(away, axis=2), 1e-9)[:, :, None]
-    std = np.where(blocked(area, found), area.blocked_std, area.std)
+    std = np.where(blocked(area, positions), area.blocked_std, area.std)
     return unit[..., :, None] * unit[..., None, :] / (std**2)[:, :, None, None]
 
 
 def _rms(information: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
     trace = np.trace(information, axis1=1, axis2=2)
     det = np.linalg.det(information)
-    there = det > 1e-9 * trace**2
-    return np.sqrt(np.where(there, trace / np.where(there, det, 1.0), np.inf))
+    regular = det > 1e-9 * trace**2
+    return np.sqrt(np.where(regular, trace / np.where(regular, det, 1.0), np.inf))
 
 
 def _side(one: np.ndarray, other: np.ndarray, point: np.ndarray) -> np.ndarray:

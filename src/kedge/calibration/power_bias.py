@@ -55,8 +55,8 @@ def fit_power_bias(power: Any, error: Any, knots: int = 6) -> PowerBias:
     x, e = np.asarray(power, float).ravel(), np.asarray(error, float).ravel()
     if x.shape != e.shape:
         raise DataError(f"power bias: found {x.size} powers and {e.size} errors")
-    there = np.isfinite(x) & np.isfinite(e)
-    x, e = x[there], e[there]
+    valid = np.isfinite(x) & np.isfinite(e)
+    x, e = x[valid], e[valid]
     if knots < 2 or len(x) < LEAST * knots:
         raise DataError(
             f"power bias: found {len(x)} ranges for {knots} knots, expected 2 knots or more "

@@ -49,8 +49,8 @@ def self_survey(
     count = len(measured)
     if measured.shape != (count, count) or count < 4:
         raise DataError(f"survey: found ranges {measured.shape}, expected m x m, 4 or more")
-    there = usable_pairs(measured)
-    rows, columns = np.nonzero(np.triu(there))
+    usable = usable_pairs(measured)
+    rows, columns = np.nonzero(np.triu(usable))
     both = np.stack([measured[rows, columns], measured[columns, rows]])
     both = np.where(np.isfinite(both) & (both > 0), both, np.nan)
     value, copies = np.nanmean(both, axis=0), np.isfinite(both).sum(axis=0)
@@ -73,27 +73,27 @@ def self_survey(
     free = [i for i in range(2 * count) if i not in fixed]
     delays = np.zeros(count)
     lifted = delay_std is not None
-    damping, left = 1e-3, np.zeros(0)
+    damping, misfit = 1e-3, np.zeros(0)
     normal = np.eye(len(free))
 
-    def errors(points: np.ndarray, own: np.ndarray) -> np.ndarray:
+    def errors(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         far = np.linalg.norm(points[rows] - points[columns], axis=1)
-        found = (value - far - own[rows] - own[columns]) * weight
-        return np.concatenate([found, -own / delay_std]) if delay_std else found
+        weighted = (value - far - offsets[rows] - offsets[columns]) * weight
+        return np.concatenate([weighted, -offsets / delay_std]) if delay_std else weighted
 
     for _ in range(STEPS):
-        left = errors(places, delays)
+        misfit = errors(places, delays)
         slope = _slopes(places, rows, columns, weight, delay_std)
         slope = slope[:, free + ([2 * count + i for i in range(count)] if lifted else [])]
         normal = slope.T @ slope
         step = np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal) + 1e-12), slope.T @ left
+            normal + damping * np.diag(np.diag(normal) + 1e-12), slope.T @ misfit
         )
-        moved = places.copy().ravel()
-        moved[free] += step[: len(free)]
-        trial = moved.reshape(-1, 2), delays + (step[len(free) :] if lifted else 0.0)
+        shifted = places.copy().ravel()
+        shifted[free] += step[: len(free)]
+        trial = shifted.reshape(-1, 2), delays + (step[len(free) :] if lifted else 0.0)
         later = errors(*trial)
-        if later @ later <= left @ left:
+        if later @ later <= misfit @ misfit:
             places, delays, damping = *trial, max(damping / 10, 1e-12)
             if np.abs(step).max() < 1e-13:
                 break
@@ -111,10 +111,10 @@ def self_survey(
 
 def framed(places: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
     """Moved, turned and if need be mirrored into the frame of the first three."""
-    moved = places - places[0]
-    angle = np.arctan2(moved[1, 1], moved[1, 0])
+    shifted = places - places[0]
+    angle = np.arctan2(shifted[1, 1], shifted[1, 0])
     cos, sin = np.cos(angle), np.sin(angle)
-    turned = moved @ np.array([[cos, -sin], [sin, cos]])
+    turned = shifted @ np.array([[cos, -sin], [sin, cos]])
     return turned * np.array([1.0, -1.0 if turned[2, 1] < 0 else 1.0])
 
 
@@ -127,8 +127,8 @@ def aligned(
     patterns", IEEE Transactions on Pattern Analysis and Machine Intelligence 13(4), 1991.
     """
     centre, goal = places.mean(axis=0), truth.mean(axis=0)
-    left, _, right = np.linalg.svd((places - centre).T @ (truth - goal))
-    turn = left @ np.diag([1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    u, _, vt = np.linalg.svd((places - centre).T @ (truth - goal))
+    turn = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return (places - centre) @ turn + goal
 
 

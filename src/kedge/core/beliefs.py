@@ -144,8 +144,8 @@ def members_wise(function: Callable[..., Any], shared: int = 0) -> Callable[...,
     """``function`` for each member of columns; the last ``shared`` arguments are the same."""
 
     def call(*arguments: Any) -> Any:
-        own = len(arguments) - shared
-        return jax.vmap(function, (-1,) * own + (None,) * shared, -1)(*arguments)
+        members = len(arguments) - shared
+        return jax.vmap(function, (-1,) * members + (None,) * shared, -1)(*arguments)
 
     return call
 

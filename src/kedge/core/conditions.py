@@ -59,13 +59,13 @@ def parse_term(text: str) -> Term:
     Raises:
         ConfigError: it is none.
     """
-    found = _TERM.fullmatch(text)
-    if found is None:
+    match = _TERM.fullmatch(text)
+    if match is None:
         raise ConfigError(
             f"found {text!r}, expected FILTER.SCORE with a score that begins with one of "
             f"{list(HEADS)}, e.g. kalman.rmse.position"
         )
-    return Term(found["filter"], found["score"])
+    return Term(match["filter"], match["score"])
 
 
 def parse_condition(text: str) -> tuple[Comparison, ...]:
@@ -74,7 +74,7 @@ def parse_condition(text: str) -> tuple[Comparison, ...]:
     Raises:
         ConfigError: it cannot be understood.
     """
-    found = []
+    comparisons = []
     for part in text.split(" and "):
         sides = _COMPARISON.fullmatch(part)
         if sides is None:
@@ -86,5 +86,5 @@ def parse_condition(text: str) -> tuple[Comparison, ...]:
         if factor is not None and not _NUMBER.fullmatch(factor):
             raise ConfigError(f"found the factor {factor!r}, expected a number")
         bound = float(right) if _NUMBER.fullmatch(right) else parse_term(right)
-        found.append(Comparison(parse_term(left), relation, bound, float(factor or 1)))
-    return tuple(found)
+        comparisons.append(Comparison(parse_term(left), relation, bound, float(factor or 1)))
+    return tuple(comparisons)

@@ -184,8 +184,8 @@ class AbstractSensor(AbstractMeasurementModel[Z]):
 
     def noise_variance(self, state: Any) -> Float[Array, " m"] | None:
         """The squares of ``noise_std``, unless the sensor has a ``noise_cov`` of its own."""
-        own = type(self).noise_cov is not AbstractSensor.noise_cov
-        return None if own else self._variance(state)
+        correlated = type(self).noise_cov is not AbstractSensor.noise_cov
+        return None if correlated else self._variance(state)
 
     def dof(self) -> int:
         """Size of the measurement."""

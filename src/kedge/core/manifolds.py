@@ -82,8 +82,8 @@ class Euclidean:
 
     def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
         """Missing components become 0."""
-        there = ~jnp.isnan(point)
-        return jnp.where(there, point, 0.0), there.reshape(self.size)
+        present = ~jnp.isnan(point)
+        return jnp.where(present, point, 0.0), present.reshape(self.size)
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Circle:
 
     def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
         """A missing angle becomes 0."""
-        there = ~jnp.isnan(point)
-        return jnp.where(there, point, 0.0), there[None]
+        present = ~jnp.isnan(point)
+        return jnp.where(present, point, 0.0), present[None]
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ class Rotation:
 
     def boxplus(self, point: Point, delta: Float[Array, " n"]) -> Array:
         r"""$q \otimes \exp(\delta)$, normalised."""
-        moved = rotations.multiply(jnp.asarray(point), rotations.exp(delta))
-        return moved / jnp.linalg.norm(moved)
+        turned = rotations.multiply(jnp.asarray(point), rotations.exp(delta))
+        return turned / jnp.linalg.norm(turned)
 
     def slope(self, delta: Float[Array, " n"]) -> Float[Array, "n n"]:
         r"""Of $(q \boxplus (\delta + e)) \boxminus (q \boxplus \delta)$ by e, at 0."""
@@ -134,9 +134,9 @@ class Rotation:
 
     def complete(self, point: Point) -> tuple[Array, Bool[Array, " n"]]:
         """An attitude is there as a whole or not at all: then it becomes the identity."""
-        there = ~jnp.isnan(jnp.asarray(point)).any()
+        present = ~jnp.isnan(jnp.asarray(point)).any()
         identity = jnp.array([1.0, 0.0, 0.0, 0.0])
-        return jnp.where(there, point, identity), jnp.broadcast_to(there, (3,))
+        return jnp.where(present, point, identity), jnp.broadcast_to(present, (3,))
 
 
 @dataclass(frozen=True)
@@ -187,8 +187,8 @@ class Space(Generic[S]):
         for chart, part, cut in zip(
             self.charts, self._split(delta), self.slices().values(), strict=True
         ):
-            own: Any = getattr(chart, "slope", None)
-            block = jnp.eye(chart.size) if own is None else own(part)
+            slope: Any = getattr(chart, "slope", None)
+            block = jnp.eye(chart.size) if slope is None else slope(part)
             rows.append(jnp.pad(block, ((0, 0), (cut.start, self.size - cut.stop))))
         return jnp.concatenate(rows)
 
@@ -206,8 +206,10 @@ class Space(Generic[S]):
     def complete(self, point: S) -> tuple[S, Bool[Array, " n"]]:
         """Fill missing (NaN) components with the charts' origins; say which are there."""
         filled = [c.complete(p) for c, p in zip(self.charts, point, strict=True)]
-        there = [mask for _, mask in filled]
-        return self.cls(*(p for p, _ in filled)), jnp.concatenate([jnp.zeros(0, bool), *there])
+        present = [mask for _, mask in filled]
+        return self.cls(*(p for p, _ in filled)), jnp.concatenate(
+            [jnp.zeros(0, bool), *present]
+        )
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -239,11 +241,11 @@ class Space(Generic[S]):
 
     def slices(self) -> dict[str, slice]:
         """Where each field's components stand in a tangent vector."""
-        found, start = {}, 0
+        slices, start = {}, 0
         for name, chart in zip(self._names, self.charts, strict=True):
-            found[name] = slice(start, start + chart.size)
+            slices[name] = slice(start, start + chart.size)
             start += chart.size
-        return found
+        return slices
 
     def _split(self, vector: Float[Array, " n"]) -> list[Array]:
         return [vector[cut] for cut in self.slices().values()]
@@ -291,13 +293,13 @@ def charts_of(cls: Any) -> dict[str, Chart]:
     """
     charts = {}
     for name, hint in get_type_hints(cls, include_extras=True).items():
-        found = [m for m in getattr(hint, "__metadata__", ()) if hasattr(m, "boxplus")]
-        if not found:
+        marked = [m for m in getattr(hint, "__metadata__", ()) if hasattr(m, "boxplus")]
+        if not marked:
             raise ContractError(
                 f"{cls.__module__}.{cls.__qualname__}.{name} has no chart; "
                 "annotate it with a quantity from kedge.core.quantities, e.g. Speed"
             )
-        charts[name] = found[0]
+        charts[name] = marked[0]
     return charts
 
 

@@ -64,14 +64,14 @@ def seen(
     F, u, Q = motion
     root = cholesky(symmetric(H @ Q @ H.T + R))
     K = gain(Q @ H.T, root)
-    rest = jnp.eye(F.shape[0], dtype=F.dtype) - K @ H
+    reduction = jnp.eye(F.shape[0], dtype=F.dtype) - K @ H
     unexplained = residual - H @ u
     # With S = L L', W = L^-1 H F: J = W' W, eta = W' L^-1 (r - H u).
     white = solve_lower(root, H @ F)
     return FilterElement(
-        A=rest @ F,
+        A=reduction @ F,
         b=u + K @ unexplained,
-        C=symmetric(rest @ Q @ rest.T + K @ R @ K.T),
+        C=symmetric(reduction @ Q @ reduction.T + K @ R @ K.T),
         eta=white.T @ solve_lower(root, unexplained),
         J=white.T @ white,
     )
@@ -109,9 +109,9 @@ def given_later(
     # Jitter relative to each variance: a state known exactly has a singular one.
     jitter = jnp.diag(1e-12 * jnp.diag(predicted) + jnp.finfo(cov.dtype).tiny)
     E = gain(cov @ F.T, cholesky(predicted + jitter))
-    rest = jnp.eye(F.shape[0], dtype=F.dtype) - E @ F
+    reduction = jnp.eye(F.shape[0], dtype=F.dtype) - E @ F
     return SmootherElement(
-        E, mean - E @ (F @ mean + u), symmetric(rest @ cov @ rest.T + E @ Q @ E.T)
+        E, mean - E @ (F @ mean + u), symmetric(reduction @ cov @ reduction.T + E @ Q @ E.T)
     )
 
 

@@ -29,7 +29,7 @@ def whenever(flag: Bool[Array, ""], rare: Callable[[], T], usual: Callable[[], T
 
     @branch.def_vmap
     def in_batch(size: int, batched: Any, flag: Any, traced: Any) -> tuple[Any, Any]:
-        axes = jax.tree.map(lambda there: 0 if there else None, batched)
+        axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, batched)
 
         def each(flag: Any, traced: Any) -> Any:
             rare, usual = eqx.combine(traced, static)
@@ -39,7 +39,7 @@ def whenever(flag: Bool[Array, ""], rare: Callable[[], T], usual: Callable[[], T
             return eqx.combine(traced, static)[1]()
 
         some, no = (jax.vmap(f, in_axes=axes, axis_size=size) for f in (each, none))
-        found = lax.cond(jnp.any(flag), some, no, flag, traced)
-        return found, jax.tree.map(lambda _: True, found)
+        results = lax.cond(jnp.any(flag), some, no, flag, traced)
+        return results, jax.tree.map(lambda _: True, results)
 
     return branch(flag, traced)

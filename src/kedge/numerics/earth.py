@@ -31,8 +31,10 @@ class Radii(NamedTuple):
 
 def radii(latitude: Radians) -> Radii:
     r"""$R_M = a (1 - e^2) / (1 - e^2 \sin^2 L)^{3/2}$, $R_N = a / \sqrt{1 - e^2 \sin^2 L}$."""
-    rest = 1 - ECCENTRICITY_SQUARED * jnp.sin(latitude) ** 2
-    return Radii(EQUATOR * (1 - ECCENTRICITY_SQUARED) / rest**1.5, EQUATOR / jnp.sqrt(rest))
+    squared = 1 - ECCENTRICITY_SQUARED * jnp.sin(latitude) ** 2
+    return Radii(
+        EQUATOR * (1 - ECCENTRICITY_SQUARED) / squared**1.5, EQUATOR / jnp.sqrt(squared)
+    )
 
 
 def gravity(latitude: Radians, height: Metres) -> Float[Array, ""]:

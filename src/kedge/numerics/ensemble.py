@@ -197,8 +197,10 @@ def _solver(root: Float[Array, "k k"]) -> Callable[[Float[Array, "k n"]], Float[
         return lambda right: solve_lower_transposed(root, solve_lower(root, right))
 
     def row(i: Array, inverse: Float[Array, "k k"]) -> Float[Array, "k k"]:
-        rest = jnp.where(jnp.arange(size) == i, 1.0, 0.0).astype(root.dtype) - root[i] @ inverse
-        return inverse.at[i].set(rest / root[i, i])
+        remainder = (
+            jnp.where(jnp.arange(size) == i, 1.0, 0.0).astype(root.dtype) - root[i] @ inverse
+        )
+        return inverse.at[i].set(remainder / root[i, i])
 
     inverse = lax.fori_loop(0, size, row, jnp.zeros_like(root))
     return lambda right: inverse.T @ (inverse @ right)

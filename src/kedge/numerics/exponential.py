@@ -25,13 +25,13 @@ def held_inputs(
     A, h = A * dt, dt / 2**HALVINGS
     small = A / 2**HALVINGS
     # F - I, which keeps its digits while it is small, and the integral of the exponential.
-    term, rest, integral = jnp.eye(size), jnp.zeros((size, size)), jnp.eye(size)
+    term, increment, integral = jnp.eye(size), jnp.zeros((size, size)), jnp.eye(size)
     for k in range(1, ORDER + 1):
         term = small @ term / k
-        rest = rest + term
+        increment = increment + term
         integral = integral + term / (k + 1)
     integral = integral * h
     for _ in range(HALVINGS):
-        integral = integral + integral @ (rest + jnp.eye(size))
-        rest = 2 * rest + rest @ rest
-    return rest + jnp.eye(size), integral @ B
+        integral = integral + integral @ (increment + jnp.eye(size))
+        increment = 2 * increment + increment @ increment
+    return increment + jnp.eye(size), integral @ B

@@ -131,8 +131,8 @@ def _factorise(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
         root[j][j] = jnp.sqrt(matrix[j, j] - sum((root[j][k] ** 2 for k in range(j)), zero))
         inverse = 1 / root[j][j]
         for i in range(j + 1, size):
-            rest = sum((root[i][k] * root[j][k] for k in range(j)), zero)
-            root[i][j] = (matrix[i, j] - rest) * inverse
+            projected = sum((root[i][k] * root[j][k] for k in range(j)), zero)
+            root[i][j] = (matrix[i, j] - projected) * inverse
     return _assemble(root, matrix)
 
 
@@ -151,9 +151,9 @@ def _semidefinite(
         return jnp.where(vanishes, 0, 1 / jnp.sqrt(jnp.where(vanishes, 1, pivot))), negative
 
     def column_of(j: Array | int, columns: Array) -> tuple[Array, Array]:
-        rest = matrix[:, j] - columns @ columns[j]
-        inverse, negative = inverse_of(rest[j], matrix[j, j])
-        return jnp.where(jnp.arange(size) < j, zero, rest * inverse), negative
+        remainder = matrix[:, j] - columns @ columns[j]
+        inverse, negative = inverse_of(remainder[j], matrix[j, j])
+        return jnp.where(jnp.arange(size) < j, zero, remainder * inverse), negative
 
     lifted = jnp.zeros((), int)
     if size > UNROLLED:
@@ -181,8 +181,8 @@ def _semidefinite(
         inverse, negative = inverse_of(pivot, matrix[j, j])
         root[j][j], lifted = pivot * inverse, lifted + negative
         for i in range(j + 1, size):
-            rest = sum((root[i][k] * root[j][k] for k in range(j)), zero)
-            root[i][j] = (matrix[i, j] - rest) * inverse
+            projected = sum((root[i][k] * root[j][k] for k in range(j)), zero)
+            root[i][j] = (matrix[i, j] - projected) * inverse
     return _assemble(root, matrix), lifted
 
 

@@ -54,5 +54,5 @@ def between(distances: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m m"]:
     A measured component is taken to stand where the component of the state nearest to it does.
     """
     placed = np.where(np.isnan(distances), math.inf, distances)
-    found = distances[:, np.argmin(placed, axis=1)]
-    return (found + found.T) / 2
+    nearest = distances[:, np.argmin(placed, axis=1)]
+    return (nearest + nearest.T) / 2

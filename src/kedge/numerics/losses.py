@@ -50,12 +50,12 @@ class Loss(eqx.Module):
     side: str = eqx.field(static=True, default="both")
 
     def __check_init__(self):
-        for name, found, known in (
+        for name, value, known in (
             ("loss", self.kind, get_args(Kind)),
             ("side", self.side, get_args(Side)),
         ):
-            if found not in known:
-                raise ContractError(f"{name} is {found!r}, must be one of {', '.join(known)}")
+            if value not in known:
+                raise ContractError(f"{name} is {value!r}, must be one of {', '.join(known)}")
         if isinstance(self.tuning, int | float) and not self.tuning > 0:
             raise ContractError(
                 f"tuning is {self.tuning:g}, must be above 0, e.g. {TUNING[self.kind]:g}"

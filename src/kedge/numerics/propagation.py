@@ -111,8 +111,8 @@ class Taylor(AbstractPropagation):
         ) -> Float[Array, "n n"]:
             # (1 - K H) P (1 - K H)^T + K R K^T, by products with K and H, which are thin. The
             # last one is zero but for what is wrong with the gain, and for rounding.
-            rest = cov - gain @ cross.T
-            return rest - (rest @ slope.T - gain @ noise) @ gain.T
+            reduced = cov - gain @ cross.T
+            return reduced - (reduced @ slope.T - gain @ noise) @ gain.T
 
         return Image(mean, mirrored(image), cross, posterior, _symmetric)
 
@@ -193,8 +193,8 @@ class SigmaPoints(AbstractPropagation):
         ) -> Float[Array, "n n"]:
             # The points stand for cov exactly only under weights without beta's correction
             # of the centre; at the centre the error is zero, so the sum is right with it.
-            rest = errors - spread @ gain.T
-            return rest.T @ (weights * rest) + gain @ noise @ gain.T
+            residuals = errors - spread @ gain.T
+            return residuals.T @ (weights * residuals) + gain @ noise @ gain.T
 
         image, repairs = sound(spread.T @ (weights * spread))
         return Image(mean, image, errors.T @ (weights * spread), posterior, sound, repairs)

@@ -138,8 +138,8 @@ def _turned(
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     r"""Cosine and sine of the angle $2 \pi w / 2^{32}$, less an eighth of a turn; to 1e-6."""
     quarter = word >> 30
-    rest = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(jnp.float32)
-    x = (rest - 2.0**29) * np.float32(math.pi / 2**31)
+    angle_bits = (word & jnp.uint32(2**30 - 1)).astype(jnp.int32).astype(jnp.float32)
+    x = (angle_bits - 2.0**29) * np.float32(math.pi / 2**31)
     x2 = x * x
     sine = x * _horner([(-1) ** k / math.factorial(2 * k + 1) for k in range(5)], x2, zero)
     cosine = _horner([(-1) ** k / math.factorial(2 * k) for k in range(5)], x2, zero)

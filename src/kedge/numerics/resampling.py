@@ -65,8 +65,8 @@ def stratified(key: PRNGKeyArray, log_weights: Float[Array, " N"]) -> Int[Array,
     place = _cumulated(log_weights) * count
     stratum = jnp.floor(place)
     draws = jr.uniform(key, (count,), place.dtype)
-    own = draws[jnp.minimum(stratum.astype(jnp.int32), count - 1)]
-    return _ancestors(stratum + (own < place - stratum))
+    draw = draws[jnp.minimum(stratum.astype(jnp.int32), count - 1)]
+    return _ancestors(stratum + (draw < place - stratum))
 
 
 def residual(key: PRNGKeyArray, log_weights: Float[Array, " N"]) -> Int[Array, " N"]:

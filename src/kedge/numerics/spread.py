@@ -33,8 +33,8 @@ def with_noise(
     """
     before, _ = belief.centred()
     calm = jnp.zeros_like(std)
-    moved = Ensemble(members_wise(step, shared=1)(belief.columns, calm))
-    mean, anomalies = moved.centred()
+    predicted = Ensemble(members_wise(step, shared=1)(belief.columns, calm))
+    mean, anomalies = predicted.centred()
     states = space(mean)
     centre = step(before, calm)
     slope = jax.jacfwd(lambda noise: states.boxminus(step(before, noise), centre))(calm)
@@ -45,21 +45,21 @@ def with_noise(
     scale = jnp.where(scale > 0, scale, 1.0)
     A, noise = anomalies / scale[:, None], slope * std[None] / scale[:, None]
     W = _least_squares(A, noise)
-    rest = noise - A @ W.T
+    missing = noise - A @ W.T
 
     white = draws(key, count, jnp.ones_like(std))
     drawn = (white - jnp.mean(white, axis=1)[:, None]) * (count / (count - 1)) ** 0.5
     grown = gram(W * (count - 1) ** 0.5).applied(
         lambda values: jnp.sqrt(1 + values), lambda values: 1 / (1 + jnp.sqrt(1 + values)), A
     )
-    grown = grown + rest @ drawn
+    grown = grown + missing @ drawn
     return Ensemble.around(mean, grown * scale[:, None])
 
 
 def _least_squares(A: Float[Array, "n N"], right: Float[Array, "n w"]) -> Float[Array, "w N"]:
     r"""The shortest W with $A W^\top$ nearest to ``right``."""
-    found = gram(A)
-    there = found.rank() > 0
-    return found.pulled(
-        lambda values: jnp.where(there, 1 / jnp.where(there, values, 1.0), 0.0), right.T
+    decomposed = gram(A)
+    regular = decomposed.rank() > 0
+    return decomposed.pulled(
+        lambda values: jnp.where(regular, 1 / jnp.where(regular, values, 1.0), 0.0), right.T
     )

@@ -24,7 +24,7 @@ def longest_step(rule: str, modes: Complex[np.ndarray, " n"]) -> float:
         return np.inf
     steps = np.geomspace(1e-4, 10.0, 20_000)[:, None] / fastest
     z = steps * modes[None]
-    rest = 0 if rule == "euler" else z / 2 * (1 + z / 3 * (1 + z / 4))
+    higher = 0 if rule == "euler" else z / 2 * (1 + z / 3 * (1 + z / 4))
     allowed = np.maximum(1, np.exp(z.real)) * np.exp(GROWTH * steps)
-    bad = (np.abs(1 + z * (1 + rest)) > allowed).any(axis=1)
+    bad = (np.abs(1 + z * (1 + higher)) > allowed).any(axis=1)
     return float(steps[np.argmax(bad), 0]) if bad.any() else np.inf

@@ -33,8 +33,8 @@ def differences(links: Links, near: Float[Array, " d"] | None = None) -> Fix:
     size = safe.anchors.shape[1]
 
     def errors(point: Array) -> Array:
-        left = safe.ranges - safe.bias - distances(safe, point[:size]) - point[size]
-        return jnp.where(used, left / safe.std, 0.0)
+        misfit = safe.ranges - safe.bias - distances(safe, point[:size]) - point[size]
+        return jnp.where(used, misfit / safe.std, 0.0)
 
     def total(point: Array) -> Array:
         return jnp.sum(errors(point) ** 2) / 2
@@ -51,8 +51,8 @@ def differences(links: Links, near: Float[Array, " d"] | None = None) -> Fix:
     position = nearer(shape, point[:size], nowhere if near is None else near)
     cov = difference_bound(links, position)
     # Judged as ranges from here on: the offset that was found makes them such.
-    told = links._replace(ranges=links.ranges - point[size])
-    fix = finished(told, shape, position, cov, size + 1)
+    corrected = links._replace(ranges=links.ranges - point[size])
+    fix = finished(corrected, shape, position, cov, size + 1)
     spread = jnp.sqrt(jnp.trace(cov))
     return fix._replace(crlb=jnp.where(jnp.isnan(fix.crlb), fix.crlb, spread))
 

@@ -100,10 +100,10 @@ def finished(
     finite = jnp.isfinite(position).all() & jnp.isfinite(cov).all()
     status = jnp.where(finite, status, Status.NO_FIX)
     status = jnp.where(count < needed, Status.TOO_FEW, status)
-    there = status <= Status.AMBIGUOUS
+    solved = status <= Status.AMBIGUOUS
 
     def known(value: Array) -> Array:
-        return jnp.where(there, value, jnp.nan)
+        return jnp.where(solved, value, jnp.nan)
 
     return Fix(
         position=known(position),
@@ -113,9 +113,9 @@ def finished(
         hdop=known(jnp.sqrt(dop[0, 0] + dop[1, 1])),
         vdop=known(vertical),
         redundancy=count - needed,
-        residual=jnp.where(used & there, residuals(safe, position), jnp.nan),
+        residual=jnp.where(used & solved, residuals(safe, position), jnp.nan),
         use=use_of(links),
-        ambiguous=ambiguous & there,
-        mirror=jnp.where(ambiguous & there, other, jnp.nan),
+        ambiguous=ambiguous & solved,
+        mirror=jnp.where(ambiguous & solved, other, jnp.nan),
         status=status,
     )

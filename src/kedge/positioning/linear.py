@@ -51,8 +51,8 @@ def linear(
     combined with IMU and UWB", Archives of Transport 64(4), 2022, equations 3 to 6 and 10,
     corrected.
     """
-    told = links if debias else links._replace(bias=jnp.zeros_like(links.bias))
-    safe, used = usable(told)
+    chosen = links if debias else links._replace(bias=jnp.zeros_like(links.bias))
+    safe, used = usable(chosen)
     shape = layout(safe.anchors, used)
     length = safe.ranges - safe.bias
     squared = length**2 - safe.rise**2 - (safe.std**2 if debias else 0.0)
@@ -62,19 +62,19 @@ def linear(
     if printed:
         origin, signs = jnp.zeros_like(origin), -signs.at[0].set(-1.0)
     squares = jnp.sum(signs[None] * (safe.anchors - origin[None]) ** 2, axis=1)
-    found = origin + gain @ jnp.where(used, (squares - squared) / 2, 0.0)
+    estimate = origin + gain @ jnp.where(used, (squares - squared) / 2, 0.0)
     # Rows say nothing across a line or plane of anchors; the lengths themselves say how far.
     along = shape.axes[:, 1:]
-    foot = shape.centre + along @ (along.T @ (found - shape.centre))
-    rest = squared - jnp.sum((foot[None] - safe.anchors) ** 2, axis=1)
-    across = jnp.sum(jnp.where(used, rest, 0.0)) / jnp.maximum(jnp.sum(used), 1)
+    foot = shape.centre + along @ (along.T @ (estimate - shape.centre))
+    excess = squared - jnp.sum((foot[None] - safe.anchors) ** 2, axis=1)
+    across = jnp.sum(jnp.where(used, excess, 0.0)) / jnp.maximum(jnp.sum(used), 1)
     side = foot + jnp.sqrt(jnp.maximum(across, 0.0)) * shape.axes[:, 0]
-    nowhere = jnp.full_like(found, jnp.nan)
-    position = jnp.where(shape.flat, side, found)
+    nowhere = jnp.full_like(estimate, jnp.nan)
+    position = jnp.where(shape.flat, side, estimate)
     position = nearer(shape, position, nowhere if near is None else near)
     variance = jnp.where(used, half_square_variance(length, safe.std), 0.0)
-    cov = jnp.where(shape.flat, bound(told, position), (gain * variance[None]) @ gain.T)
-    return finished(told, shape, position, cov)
+    cov = jnp.where(shape.flat, bound(chosen, position), (gain * variance[None]) @ gain.T)
+    return finished(chosen, shape, position, cov)
 
 
 def half_square_variance(

@@ -50,10 +50,10 @@ def links(anchors: Any, ranges: Any, std: Any = 0.1, bias: Any = 0.0, rise: Any 
 def use_of(links: Links) -> Int[Array, " m"]:
     """Which ranges can be used, and why others cannot."""
     length = links.ranges - links.bias
-    found = jnp.where(length < jnp.abs(links.rise), Use.SHORT, Use.USED)
+    use = jnp.where(length < jnp.abs(links.rise), Use.SHORT, Use.USED)
     positive = (links.ranges > 0) & (length > 0) & jnp.isfinite(links.ranges)
-    found = jnp.where(positive, found, Use.NOT_POSITIVE)
-    return jnp.where(jnp.isnan(links.ranges), Use.MISSING, found)
+    use = jnp.where(positive, use, Use.NOT_POSITIVE)
+    return jnp.where(jnp.isnan(links.ranges), Use.MISSING, use)
 
 
 def usable(links: Links) -> tuple[Links, Bool[Array, " m"]]:

@@ -46,15 +46,15 @@ def mixture(
     def clear(position: Array) -> Array:
         """Probability that each range is in line of sight."""
         error = residuals(safe, position)
-        own = -0.5 * (error / safe.std) ** 2 - jnp.log(safe.std) + jnp.log1p(-share)
+        direct = -0.5 * (error / safe.std) ** 2 - jnp.log(safe.std) + jnp.log1p(-share)
         other = -0.5 * ((error - mean) / std) ** 2 - jnp.log(std) + jnp.log(share)
-        return 1 / (1 + jnp.exp(jnp.clip(other - own, -700, 700)))
+        return 1 / (1 + jnp.exp(jnp.clip(other - direct, -700, 700)))
 
     def weighed(position: Array) -> tuple[Array, Array]:
         """Weight of each range, and the excess to take from it."""
         gamma = clear(position)
-        own, other = gamma / safe.std**2, (1 - gamma) / std**2
-        return jnp.where(used, own + other, 0.0), mean * other / (own + other)
+        direct, blocked = gamma / safe.std**2, (1 - gamma) / std**2
+        return jnp.where(used, direct + blocked, 0.0), mean * blocked / (direct + blocked)
 
     def round_(_: Array, position: Array) -> Array:
         weights, excess = weighed(position)

@@ -93,11 +93,11 @@ def descend(
         matrix, right = normal(point)
         diagonal = jnp.diag(jnp.diag(matrix) + 1e-12 * jnp.trace(matrix))
         trial = point + inverse(matrix + damping * diagonal) @ right
-        found = total(trial)
-        better = found <= least
+        cost_there = total(trial)
+        better = cost_there <= least
         return (
             jnp.where(better, trial, point),
-            jnp.where(better, found, least),
+            jnp.where(better, cost_there, least),
             jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-12, 1e12),
         )
 

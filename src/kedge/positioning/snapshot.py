@@ -135,44 +135,44 @@ class Snapshot(AbstractFilter[Held]):
         """Solve for the position, and put it in the place of the prediction's."""
         del key
         score = _score(model, belief, measurement)
-        told = model.ranging(belief.mean)
-        if told is None:
+        ranging = model.ranging(belief.mean)
+        if ranging is None:
             return belief, score._replace(accepted=False)
         if not hasattr(belief.mean, "position"):
             raise ContractError("fix: the state has no position that ranges could tell")
-        epoch = _epoch(model, belief.mean, told, measurement)
+        epoch = _epoch(model, belief.mean, ranging, measurement)
         recent = belief.recent
-        if len(told.scale) == 1:
+        if len(ranging.scale) == 1:
             recent = _heard(recent, epoch)
             fresh = recent.age <= self.window
             links = recent.links
             epoch = links._replace(ranges=jnp.where(fresh, links.ranges, jnp.nan))
         near = belief.mean.position
         fix = self.solving().solve(epoch, near)
-        there = fix.status <= Status.AMBIGUOUS
+        solved = fix.status <= Status.AMBIGUOUS
         place = space(belief.mean).slices()["position"]
         cov = belief.cov.at[place, :].set(0.0).at[:, place].set(0.0)
         cov = cov.at[place, place].set(symmetric(fix.cov))
         posterior = Held(
-            belief.mean._replace(position=jnp.where(there, fix.position, near)),
-            jnp.where(there, cov, belief.cov),
+            belief.mean._replace(position=jnp.where(solved, fix.position, near)),
+            jnp.where(solved, cov, belief.cov),
             recent,
         )
-        return posterior, score._replace(accepted=there)
+        return posterior, score._replace(accepted=solved)
 
 
 def _epoch(
-    model: AbstractMeasurementModel, mean: Any, told: Ranging, measurement: Any
+    model: AbstractMeasurementModel, mean: Any, ranging: Ranging, measurement: Any
 ) -> Links:
     """The ranges without scales and biases of instruments; NaN where they are missing."""
     ranges = space(measurement).flatten(measurement)
     std = jnp.sqrt(jnp.diag(model.noise_cov(mean)))
     return Links(
-        told.anchors,
-        jnp.where(told.present, ranges - told.bias, jnp.nan) / told.scale,
-        std / told.scale,
-        told.excess / told.scale,
-        told.rise,
+        ranging.anchors,
+        jnp.where(ranging.present, ranges - ranging.bias, jnp.nan) / ranging.scale,
+        std / ranging.scale,
+        ranging.excess / ranging.scale,
+        ranging.rise,
     )
 
 

@@ -84,7 +84,7 @@ class Solver(eqx.Module):
 @eqx.filter_jit
 def solve_all(solver: Solver, epochs: Links, near: Near = None) -> Fix:
     """Every epoch by itself, all at once; the leaves of ``epochs`` have a leading axis."""
-    return jax.vmap(lambda own: solver.solve(own, near))(epochs)
+    return jax.vmap(lambda links: solver.solve(links, near))(epochs)
 
 
 def _undebiased(links: Links) -> Links:

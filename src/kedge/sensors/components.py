@@ -70,9 +70,9 @@ class Components(AbstractSensor[Any]):
                 "both must be at least 1"
             )
         if not self.chosen or not all(0 <= i < self.size for i in self.chosen):
-            found = f"indices {self.indices}" if self.indices else f"first {self.first}"
+            chosen = f"indices {self.indices}" if self.indices else f"first {self.first}"
             raise ContractError(
-                f"components: {found}, must be at least 0 and below the size, {self.size}"
+                f"components: {chosen}, must be at least 0 and below the size, {self.size}"
             )
 
     @property
@@ -90,6 +90,6 @@ class Components(AbstractSensor[Any]):
         steps = np.abs(np.subtract.outer(np.asarray(self.chosen), np.arange(self.size)))
         steps = np.minimum(steps, self.size - steps) if self.ring else steps
         states = space_of(type(state))
-        found = np.full((len(self.chosen), states.size), np.nan)
-        found[:, states.slices()[self.field]] = steps
-        return found
+        distances = np.full((len(self.chosen), states.size), np.nan)
+        distances[:, states.slices()[self.field]] = steps
+        return distances

@@ -53,8 +53,8 @@ def _difference(anchor: Anchor, place: Float[Array, " d"]) -> Measurement:
 def _possible(anchor: Anchor, std: Any, measurement: Measurement) -> Any:
     """Whether it is, but for noise, no longer than the way between the two anchors."""
     between = _distance(jnp.asarray(anchor.position), jnp.asarray(anchor.reference))
-    found = jnp.abs(measurement.difference - jnp.asarray(anchor.offset))
-    return found <= between + CHANCE * jnp.asarray(std)
+    distance = jnp.abs(measurement.difference - jnp.asarray(anchor.offset))
+    return distance <= between + CHANCE * jnp.asarray(std)
 
 
 @sensors.add("range-differences")

@@ -66,18 +66,18 @@ class RangeEpoch(AbstractSensor[Any]):
                 "to have 2, or 3 with the height"
             )
         for name in ("stds", "excess"):
-            found = len(getattr(self, name))
-            if found not in (0, len(self.anchors)):
+            count = len(getattr(self, name))
+            if count not in (0, len(self.anchors)):
                 raise ContractError(
-                    f"range-epoch: {name} has {found} numbers, expected one for each of the "
+                    f"range-epoch: {name} has {count} numbers, expected one for each of the "
                     f"{len(self.anchors)} anchors, or none"
                 )
 
     def observe(self, state: Reads) -> Any:
-        told = self.ranging(state)
-        away = state.position[None] - told.anchors
-        distance = jnp.sqrt(jnp.sum(away**2, axis=1) + told.rise**2 + 1e-18)
-        return self.measures(distance + told.excess)
+        ranging = self.ranging(state)
+        away = state.position[None] - ranging.anchors
+        distance = jnp.sqrt(jnp.sum(away**2, axis=1) + ranging.rise**2 + 1e-18)
+        return self.measures(distance + ranging.excess)
 
     def noise_std(self, state: Reads) -> Any:
         if self.stds:
@@ -86,10 +86,10 @@ class RangeEpoch(AbstractSensor[Any]):
 
     def possible(self, state: Any, measurement: Any) -> Any:
         """Whether every range that was heard is positive and, but for noise, long enough."""
-        told, found = self.ranging(self.project(state)), measurement.ranges
+        ranging, ranges = self.ranging(self.project(state)), measurement.ranges
         noise = self.noise_std(self.project(state)).ranges
-        least = jnp.abs(told.rise) + jnp.minimum(told.excess, 0.0) - CHANCE * noise
-        return jnp.all(jnp.isnan(found) | ((found > 0) & (found >= least)))
+        least = jnp.abs(ranging.rise) + jnp.minimum(ranging.excess, 0.0) - CHANCE * noise
+        return jnp.all(jnp.isnan(ranges) | ((ranges > 0) & (ranges >= least)))
 
     def ranging(self, state: Reads) -> Ranging:
         places = jnp.stack([jnp.stack([jnp.asarray(x) for x in a]) for a in self.anchors])

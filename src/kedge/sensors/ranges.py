@@ -83,7 +83,7 @@ def _with_biases(plain: Any, name: str, count: int) -> Any:
         name: np.zeros(count),
     }
     return types.new_class(
-        plain.__name__, (NamedTuple,), exec_body=lambda own: own.update(body)
+        plain.__name__, (NamedTuple,), exec_body=lambda namespace: namespace.update(body)
     )
 
 
@@ -105,17 +105,17 @@ def _between(offset: Array) -> Float[Array, ""]:
 def _range(sensor: Any, state: Any, distance: Float[Array, ""]) -> Measurement:
     """What a radio makes of a distance."""
     anchor = sensor.target
-    own = anchor.own @ getattr(state, sensor.biases) if sensor.biases else 0.0
+    anchor_bias = anchor.own @ getattr(state, sensor.biases) if sensor.biases else 0.0
     scale = anchor.scale * state.range_scale
-    return Measurement(scale * distance + anchor.offset + state.range_bias + own)
+    return Measurement(scale * distance + anchor.offset + state.range_bias + anchor_bias)
 
 
 def _told(sensor: Any, state: Any, rise: Float[Array, ""]) -> Ranging:
     """The range as what a position can be found from."""
     anchor = sensor.target
-    own = anchor.own @ getattr(state, sensor.biases) if sensor.biases else 0.0
+    anchor_bias = anchor.own @ getattr(state, sensor.biases) if sensor.biases else 0.0
     scale = jnp.asarray(anchor.scale * state.range_scale)
-    bias = jnp.asarray(anchor.offset + state.range_bias + own)
+    bias = jnp.asarray(anchor.offset + state.range_bias + anchor_bias)
     place = jnp.asarray(anchor.position)
     none = jnp.zeros(1)
     return Ranging(place[None], scale[None], bias[None], none, rise[None], jnp.ones(1, bool))
@@ -123,9 +123,9 @@ def _told(sensor: Any, state: Any, rise: Float[Array, ""]) -> Ranging:
 
 def _std(sensor: Any, distance: Float[Array, ""]) -> Measurement:
     """Its noise: the anchor's own where the map has one, else the sensor's."""
-    own = jnp.asarray(sensor.target.std)
+    individual = jnp.asarray(sensor.target.std)
     common = sensor.range_std + sensor.range_std_per_metre * distance
-    return Measurement(jnp.where(own > 0, own, common))
+    return Measurement(jnp.where(individual > 0, individual, common))
 
 
 def _possible(sensor: Any, state: Any, measurement: Measurement, rise: Any) -> Any:

@@ -49,15 +49,15 @@ class SquaredRanges(AbstractSensor[Measurement]):
 
     def noise_std(self, state: Reads) -> Measurement:
         variance = jnp.asarray(self.range_std) ** 2
-        own = jnp.sqrt(4 * self._squared(state) * variance + 2 * variance**2)
-        return Measurement(jnp.where(self.squared_std > 0, self.squared_std, own))
+        exact = jnp.sqrt(4 * self._squared(state) * variance + 2 * variance**2)
+        return Measurement(jnp.where(self.squared_std > 0, self.squared_std, exact))
 
     def possible(self, state: Any, measurement: Measurement) -> Any:
         """Whether it is a square, and no smaller than that of the height but for noise."""
         above = Reads(jnp.asarray(self.target.position))
         least, noise = self.observe(above).squared_range, self.noise_std(above).squared_range
-        found = measurement.squared_range
-        return (found > 0) & (found >= least - CHANCE * noise)
+        measured = measurement.squared_range
+        return (measured > 0) & (measured >= least - CHANCE * noise)
 
     def _squared(self, state: Reads) -> Scalar:
         away = state.position - self.target.position

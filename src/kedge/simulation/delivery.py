@@ -28,7 +28,7 @@ def delivered(scenario: Scenario, key: PRNGKeyArray) -> list[Message]:
     What was lost as a whole does not. Of several faults of delivery on a sensor the times on
     the way add up, and a copy is on its way as long as what it is a copy of, and longer.
     """
-    run, found = simulate(scenario, key), []
+    run, messages = simulate(scenario, key), []
     scenario = dataclasses.replace(scenario, fault_key=fault_key(key))
     for installation, readings in zip(scenario.rig.sensors, run.readings, strict=True):
         times = scenario.times(installation)
@@ -45,5 +45,7 @@ def delivered(scenario: Scenario, key: PRNGKeyArray) -> list[Message]:
             copies = [0.0] + [delay[row, 1] for delay in delays if delay[row, 1] < np.inf]
             for copy in copies:
                 arrival = float(time + late[row] + copy)
-                found.append(Message(arrival, float(time), installation.name, one, int(target)))
-    return sorted(found, key=lambda message: message.arrival)
+                messages.append(
+                    Message(arrival, float(time), installation.name, one, int(target))
+                )
+    return sorted(messages, key=lambda message: message.arrival)

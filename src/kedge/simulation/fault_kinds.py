@@ -118,15 +118,15 @@ class Blocked(AbstractError):
         check(self, 0, 1, "probability")
 
     def draw(self, key: PRNGKeyArray, when: When, size: int) -> Float[Array, "n m"]:
-        which, there, normal, tail = jr.split(key, 4)
+        which, blocked, normal, tail = jr.split(key, 4)
         shape = len(when.time), size
         # The rank of each component in a random order; no order has ties.
         order = jnp.argsort(jr.uniform(which, shape), axis=1)
         hit = jnp.argsort(order, axis=1) < self.links
-        there = when.active & (jr.uniform(there, when.time.shape) < self.probability)
+        blocked = when.active & (jr.uniform(blocked, when.time.shape) < self.probability)
         longer = self.excess + self.std * jr.normal(normal, shape)
         longer = longer + self.tail * jr.exponential(tail, shape)
-        return jnp.where(hit & there[:, None], longer, 0.0)
+        return jnp.where(hit & blocked[:, None], longer, 0.0)
 
 
 @faults.add("drift")
@@ -192,9 +192,9 @@ class Excess(AbstractError):
 
     def draw(self, key: PRNGKeyArray, when: When, size: int) -> Float[Array, "n m"]:
         there_key, length_key = jr.split(key)
-        there = jr.uniform(there_key, when.time.shape) < self.probability
+        delayed = jr.uniform(there_key, when.time.shape) < self.probability
         length = self.offset + self.mean * jr.exponential(length_key, (len(when.time), size))
-        return jnp.where((when.active & there)[:, None], length, 0.0)
+        return jnp.where((when.active & delayed)[:, None], length, 0.0)
 
 
 @faults.add("quantisation")
@@ -218,8 +218,8 @@ class Quantisation(AbstractReadingFault):
         gaps = type(reading)(*(jnp.full(jnp.shape(leaf), jnp.nan) for leaf in reading))
         origin, _ = outputs.complete(gaps)
         value = outputs.boxminus(reading, origin)
-        rest = jnp.round(value / self.step) * self.step - value
-        return outputs.boxplus(reading, jnp.where(drawn & jnp.asarray(chosen), rest, 0.0))
+        rounding = jnp.round(value / self.step) * self.step - value
+        return outputs.boxplus(reading, jnp.where(drawn & jnp.asarray(chosen), rounding, 0.0))
 
 
 @faults.add("stuck")

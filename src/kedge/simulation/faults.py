@@ -51,9 +51,9 @@ class Episodes(eqx.Module):
         length = self.duration * jr.exponential(length_key, time.shape)
         number = jnp.arange(len(time))
         latest = lax.cummax(jnp.where(age < span, number, -1))
-        there = jnp.maximum(latest, 0)
-        since = jnp.where(latest >= 0, time - (time - age)[there], jnp.inf)
-        return since < length[there], since
+        row = jnp.maximum(latest, 0)
+        since = jnp.where(latest >= 0, time - (time - age)[row], jnp.inf)
+        return since < length[row], since
 
 
 class AbstractFault(eqx.Module):
@@ -136,13 +136,11 @@ class Fault(eqx.Module):
             since = np.min(np.where(inside, time[:, None] - begin[None], np.inf), axis=1)
         if self.targets:
             active = active & np.isin(target, self.targets)
-        found = When(jnp.asarray(time), jnp.asarray(active), jnp.asarray(since))
+        when = When(jnp.asarray(time), jnp.asarray(active), jnp.asarray(since))
         if self.episodes is None:
-            return found
-        there, began = self.episodes.draw(key, found.time)
-        return found._replace(
-            active=found.active & there, since=jnp.minimum(found.since, began)
-        )
+            return when
+        inside, began = self.episodes.draw(key, when.time)
+        return when._replace(active=when.active & inside, since=jnp.minimum(when.since, began))
 
 
 class DrawnFault(NamedTuple):
@@ -161,21 +159,21 @@ def drawn(
     key: PRNGKeyArray | None,
 ) -> tuple[DrawnFault, ...]:
     """The faults of one sensor with ``size`` components, at the times of its readings."""
-    found = []
+    results = []
     for fault in faults:
         if fault.on != on or key is None:
             continue
-        when_key, own = jr.split(jr.fold_in(key, zlib.crc32(fault.name.encode())))
+        when_key, draw_key = jr.split(jr.fold_in(key, zlib.crc32(fault.name.encode())))
         when, kind = fault.when(when_key, time, target), fault.kind
         if isinstance(kind, AbstractReadingFault):
-            found.append(DrawnFault(kind, kind.draw(own, when, size)))
+            results.append(DrawnFault(kind, kind.draw(draw_key, when, size)))
         elif isinstance(kind, AbstractTimeFault):
-            found.append(DrawnFault(kind, kind.lag(own, when)))
+            results.append(DrawnFault(kind, kind.lag(draw_key, when)))
         elif isinstance(kind, AbstractHoldingFault):
-            found.append(DrawnFault(kind, kind.source(when)))
+            results.append(DrawnFault(kind, kind.source(when)))
         elif isinstance(kind, AbstractDeliveryFault):
-            found.append(DrawnFault(kind, kind.delays(own, when)))
-    return tuple(found)
+            results.append(DrawnFault(kind, kind.delays(draw_key, when)))
+    return tuple(results)
 
 
 def lags(drawn_faults: Sequence[DrawnFault]) -> Float[Array, " n"] | None:

@@ -83,16 +83,16 @@ class Waypoints(AbstractRoute):
         time = time % ends[-1] if closed else jnp.minimum(time, ends[-1])
         side = jnp.minimum(jnp.searchsorted(ends, time, side="right"), len(lengths) - 1)
         since = time - jnp.where(side > 0, ends[side - 1], 0.0)
-        left = ends[side] - time
-        standing = False if closed else left <= 0
+        remaining = ends[side] - time
+        standing = False if closed else remaining <= 0
 
         # The side in three parts: speeding up, cruising, slowing down.
         if math.isinf(self.acceleration):
             way, pace = speed * since, speed
         else:
-            half, a = jnp.minimum(since, left), self.acceleration
+            half, a = jnp.minimum(since, remaining), self.acceleration
             edge = jnp.where(half < ramp, a / 2 * half**2, speed * (half - ramp / 2))
-            way = jnp.where(since < left, edge, lengths[side] - edge)
+            way = jnp.where(since < remaining, edge, lengths[side] - edge)
             pace = jnp.minimum(a * half, speed)
         pace = jnp.where(standing, 0.0, pace)
         ways = (corners[1:] - corners[:-1]) / self.lengths[:, None]

@@ -132,11 +132,11 @@ class Scenario(eqx.Module):
                 'expected "none", or a world with a guidance'
             )
         if self.feedback in ("readings", "filter"):
-            for own in self.rig.sensors:
-                if own.all_targets:
+            for installation in self.rig.sensors:
+                if installation.all_targets:
                     raise ContractError(
-                        f"sensors.{own.name}: found all_targets, but a guidance that hears "
-                        f'readings or a filter (feedback is "{self.feedback}") takes one '
+                        f"sensors.{installation.name}: found all_targets, but a guidance that "
+                        f'hears readings or a filter (feedback is "{self.feedback}") takes one '
                         "reading of a sensor at a time"
                     )
         if self.faults:
@@ -144,7 +144,10 @@ class Scenario(eqx.Module):
 
     def _check_faults(self) -> None:
         spaces = {CONTROL: space_of(type(self.rig.vehicle.nominal_control(0.0)))}
-        spaces |= {own.name: space_of(own.sensor.measures) for own in self.rig.sensors}
+        spaces |= {
+            installation.name: space_of(installation.sensor.measures)
+            for installation in self.rig.sensors
+        }
         names = [fault.name for fault in self.faults]
         for fault in self.faults:
             if wrong := validation_error(fault, spaces):

@@ -80,8 +80,8 @@ def all_told(controls: Any, dt: float, drawn_faults: Sequence[DrawnFault]) -> An
         step = jnp.floor(jnp.arange(steps) - late / dt + 1e-6).astype(int)
         controls = jax.tree.map(lambda leaf: leaf[jnp.clip(step, 0, steps - 1)], controls)
     controls = jax.tree.map(lambda leaf: 1.0 * leaf, controls)
-    told, _ = all_changed(drawn_faults, controls, jnp.ones((steps, outputs.size)))
-    return jax.tree.map(_held, told)
+    reported, _ = all_changed(drawn_faults, controls, jnp.ones((steps, outputs.size)))
+    return jax.tree.map(_held, reported)
 
 
 def noise_std(installation: Installation, state: Any, target: Any) -> Float[Array, " m"]:

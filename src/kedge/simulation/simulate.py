@@ -112,9 +112,9 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
         all_sensed(sensor, fired, keys, history, dt, scenario.drawn_faults(sensor))
         for sensor, fired, keys in zip(rig.sensors, ticks, sensing, strict=True)
     )
-    told = all_told(history.controls, dt, scenario.drawn_faults(None))
+    reported = all_told(history.controls, dt, scenario.drawn_faults(None))
     path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
-    return Simulation(path, told, readings, start)
+    return Simulation(path, reported, readings, start)
 
 
 def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -> History:

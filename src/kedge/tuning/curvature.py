@@ -31,12 +31,12 @@ class Curvature(NamedTuple):
 
     def inverse(self) -> Float[np.ndarray, "p p"]:
         """The inverse Hessian of the free numbers; what is flat becomes very wide."""
-        found = np.zeros_like(self.hessian)
+        inverse = np.zeros_like(self.hessian)
         part = np.ix_(self.free, self.free)
         values, vectors = np.linalg.eigh(self.hessian[part])
         floor = 1e-12 * max(np.abs(values).max(initial=0.0), 1e-12)
-        found[part] = (vectors / np.maximum(values, floor)) @ vectors.T
-        return found
+        inverse[part] = (vectors / np.maximum(values, floor)) @ vectors.T
+        return inverse
 
     def variance(self) -> Float[np.ndarray, " p"]:
         r"""Variance of each coordinate: the larger of two estimates.
@@ -68,21 +68,21 @@ def curvature(
 ) -> tuple[Float[np.ndarray, " p"], Curvature]:
     """The curvature at the least loss, to which two Newton steps lead the rest of the way."""
     for remaining in (2, 1, 0):
-        found = evaluator(point)
-        at_low = (point <= box[0] + 1e-6) & (found.gradient > 0)
-        at_high = (point >= box[1] - 1e-6) & (found.gradient < 0)
+        minimum = evaluator(point)
+        at_low = (point <= box[0] + 1e-6) & (minimum.gradient > 0)
+        at_high = (point >= box[1] - 1e-6) & (minimum.gradient < 0)
         free = ~(at_low | at_high)
         hessian = _hessian(evaluator, point)
-        shape = Curvature(hessian, found.blocks, free, evaluator.scale)
-        step = -shape.inverse() @ np.where(free, found.gradient, 0.0)
+        shape = Curvature(hessian, minimum.blocks, free, evaluator.scale)
+        step = -shape.inverse() @ np.where(free, minimum.gradient, 0.0)
         least = np.linalg.eigvalsh(hessian[np.ix_(free, free)]).min(initial=np.inf)
-        decrement = -float(step @ found.gradient)
+        decrement = -float(step @ minimum.gradient)
         if remaining == 0 or least <= 0 or decrement < 1e-6:
             break
-        moved = np.clip(point + step, *box)
-        if not evaluator(moved).total < found.total:
+        stepped = np.clip(point + step, *box)
+        if not evaluator(stepped).total < minimum.total:
             break
-        point = moved
+        point = stepped
     return point, shape
 
 
@@ -97,11 +97,13 @@ def judge(
     inverse = np.diag(shape.inverse()) / unit**2
     errors = np.sqrt(shape.variance())
     flat = _flat(shape, unit)
-    found = []
+    judgements = []
     for i, tunable in enumerate(chosen):
         if not shape.free[i]:
             side = "lower" if shape.blocks[:, i].sum() > 0 else "upper"
-            found.append(Judgement(np.nan, (np.nan, np.nan), False, f"no: at its {side} bound"))
+            judgements.append(
+                Judgement(np.nan, (np.nan, np.nan), False, f"no: at its {side} bound")
+            )
             continue
         width = max(np.sqrt(inverse[i]), errors[i] if logarithmic[i] else 0.0)
         clear = bool(width <= VAGUE)
@@ -116,8 +118,8 @@ def judge(
                 - {tunable.key}
             )
             verdict = f"no: only together with {', '.join(mates)}" if mates else "no: too flat"
-        found.append(Judgement(error, (float(ends[0]), float(ends[1])), clear, verdict))
-    return tuple(found), tuple(_sentence(chosen, mix) for mix in flat)
+        judgements.append(Judgement(error, (float(ends[0]), float(ends[1])), clear, verdict))
+    return tuple(judgements), tuple(_sentence(chosen, mix) for mix in flat)
 
 
 def profile(
@@ -134,7 +136,7 @@ def profile(
     The others follow to where they are best by the curvature, $-H_{oo}^{-1} H_{oj}\,\delta$,
     so that the curve is the profile likelihood to second order, and never below it.
     """
-    found, least = {}, evaluator(point).total
+    profiles, least = {}, evaluator(point).total
     inverse = shape.inverse()
     for i, (tunable, judgement) in enumerate(zip(chosen, judgements, strict=True)):
         if not judgement.identified:
@@ -144,10 +146,10 @@ def profile(
         way = inverse[:, i] / inverse[i, i]
         shares = reach * np.linspace(-1, 1, count)
         points = [np.clip(point + share * way, *box) for share in shares]
-        rises = [2 * (evaluator(moved).total - least) for moved in points]
-        values = [evaluator.values(moved)[i] for moved in points]
-        found[tunable.key] = np.array(values), np.array(rises)
-    return found
+        rises = [2 * (evaluator(shifted).total - least) for shifted in points]
+        values = [evaluator.values(shifted)[i] for shifted in points]
+        profiles[tunable.key] = np.array(values), np.array(rises)
+    return profiles
 
 
 def _hessian(evaluator: Any, point: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
@@ -162,8 +164,8 @@ def _hessian(evaluator: Any, point: Float[np.ndarray, " p"]) -> Float[np.ndarray
 def _units(shape: Curvature, logarithmic: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
     """By what coordinates are divided so that one bound on the error serves all of them."""
     diagonal = np.diag(shape.hessian)
-    own = np.sqrt(SHARED) / VAGUE / np.sqrt(np.maximum(diagonal, 1e-300))
-    return np.where(logarithmic | (diagonal <= 0), 1.0, own)
+    natural = np.sqrt(SHARED) / VAGUE / np.sqrt(np.maximum(diagonal, 1e-300))
+    return np.where(logarithmic | (diagonal <= 0), 1.0, natural)
 
 
 def _flat(shape: Curvature, unit: Float[np.ndarray, " p"]) -> list[Float[np.ndarray, " p"]]:
@@ -172,13 +174,13 @@ def _flat(shape: Curvature, unit: Float[np.ndarray, " p"]) -> list[Float[np.ndar
     if len(kept) == 0:
         return []
     values, vectors = np.linalg.eigh((shape.hessian * np.outer(unit, unit))[np.ix_(kept, kept)])
-    found = []
+    directions = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value < 1 / VAGUE**2:
             whole = np.zeros(len(shape.free))
             whole[kept] = vector * np.sign(vector[np.argmax(np.abs(vector))])
-            found.append(whole)
-    return found
+            directions.append(whole)
+    return directions
 
 
 def _members(mix: Float[np.ndarray, " p"]) -> list[int]:

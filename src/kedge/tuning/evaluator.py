@@ -112,7 +112,7 @@ class Evaluator:
             ),
         )
         by_coordinate = np.where(self.logarithmic, values, self.scale)
-        found = Evaluation(
+        evaluation = Evaluation(
             float(total),
             gradient * by_coordinate,
             blocks * by_coordinate[None],
@@ -121,9 +121,9 @@ class Evaluator:
         )
         good = np.isfinite(total) and np.isfinite(gradient).all()
         if self.fused >= 0 and not (good and int(fused) == self.fused):
-            nothing = np.zeros_like(found.gradient)
-            return found._replace(total=self.ceiling, gradient=nothing)
-        return found
+            nothing = np.zeros_like(evaluation.gradient)
+            return evaluation._replace(total=self.ceiling, gradient=nothing)
+        return evaluation
 
     def _at(self, values: Float[np.ndarray, " p"]) -> tuple[Log, Losses]:
         """The log in the order that these latencies give it, and its losses."""
@@ -168,12 +168,12 @@ def _evaluate(
             if tunable.latency_of is not None:
                 mine = log.schedule.sensor == tunable.latency_of
                 time = time - jnp.where(mine, values[index] - base[index], 0.0)
-        moved = log._replace(schedule=log.schedule._replace(time=time))
-        found, fused = losses(placed(rig, places, values), moved)
-        return found, (found, fused)
+        shifted = log._replace(schedule=log.schedule._replace(time=time))
+        terms, fused = losses(placed(rig, places, values), shifted)
+        return terms, (terms, fused)
 
-    jacobian, (found, fused) = jax.jacfwd(of, has_aux=True)(values)
-    block = jnp.arange(len(found)) * BLOCKS // len(found)
+    jacobian, (terms, fused) = jax.jacfwd(of, has_aux=True)(values)
+    block = jnp.arange(len(terms)) * BLOCKS // len(terms)
     blocks = jax.ops.segment_sum(jacobian, block, BLOCKS)
     judged = fused if losses.known is None else jnp.sum(losses.known.there)
-    return jnp.sum(found), jnp.sum(jacobian, axis=0), blocks, fused, judged
+    return jnp.sum(terms), jnp.sum(jacobian, axis=0), blocks, fused, judged

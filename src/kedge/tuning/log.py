@@ -48,12 +48,12 @@ def timeline(
     time, sensor = log.schedule.time, log.schedule.sensor
     is_output = np.zeros(len(time), bool)
     is_output[recording.outputs] = True
-    moved = np.append(earlier, 0.0)[sensor]
-    kept = np.flatnonzero((time <= until) & (time >= moved))
+    earliest = np.append(earlier, 0.0)[sensor]
+    kept = np.flatnonzero((time <= until) & (time >= earliest))
     if len(kept) == 0:
         raise DataError(f"nothing of the log is left to tune on in its first {until:g} s")
 
-    def told(leaf: np.ndarray) -> np.ndarray:
+    def at_controls(leaf: np.ndarray) -> np.ndarray:
         # What holds from an event on is what holds up to the next.
         return np.concatenate([leaf[:1], leaf[np.minimum(kept + 1, len(leaf) - 1)]])
 
@@ -66,7 +66,7 @@ def timeline(
         rank[kept],
         is_control[kept],
         is_output[kept],
-        jax.tree.map(told, log.controls),
+        jax.tree.map(at_controls, log.controls),
         log.readings,
     )
 
@@ -76,11 +76,11 @@ def arranged(line: Timeline, later: Float[np.ndarray, " s"]) -> Arranged:
 
     The schedule keeps the times as recorded; only its order is that of the times moved.
     """
-    moved = line.time - np.append(later, 0.0)[line.sensor]
-    order = np.lexsort((line.row, line.rank, moved))
+    shifted = line.time - np.append(later, 0.0)[line.sensor]
+    order = np.lexsort((line.row, line.rank, shifted))
     # The control that holds up to an event is the last one told before it.
-    told = np.maximum.accumulate(np.where(line.is_control[order], order + 1, 0))
-    last = np.concatenate([[0], told[:-1]])
+    latest = np.maximum.accumulate(np.where(line.is_control[order], order + 1, 0))
+    last = np.concatenate([[0], latest[:-1]])
     controls = jax.tree.map(lambda leaf: jnp.asarray(leaf[last]), line.controls)
     columns = (jnp.asarray(column[order]) for column in (line.time, line.sensor, line.row))
     log = Log(Schedule(*columns), controls, line.readings)

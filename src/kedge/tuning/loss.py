@@ -48,22 +48,28 @@ def ungated(rig: Rig) -> tuple[Rig, Tails, list[str]]:
     """
     size = max((space_of(s.sensor.measures).size for s in rig.sensors), default=1)
     sensors, freedom, weight, notes = [], [], [], []
-    for own in rig.sensors:
+    for installation in rig.sensors:
         nu, factor = np.inf, np.ones(size)
-        if own.robust is not None or own.gate is not None:
-            loss = own.robust or Loss("student", SOFT)
+        if installation.robust is not None or installation.gate is not None:
+            loss = installation.robust or Loss("student", SOFT)
             student = loss.kind == "student"
             nu = float(SOFT if not student or loss.tuning is None else loss.tuning)
-            if own.robust is None or not student:
+            if installation.robust is None or not student:
                 factor = np.array([consistent_weight(nu, d) for d in range(1, size + 1)])
-            own = Installation(
-                own.name, own.sensor, own.rate, own.latency, None, own.mount, loss
+            installation = Installation(
+                installation.name,
+                installation.sensor,
+                installation.rate,
+                installation.latency,
+                None,
+                installation.mount,
+                loss,
             )
             notes.append(
-                f"{own.name}: judged by a Student-t with {nu:g} degrees of freedom, without a "
-                "gate, which would make the likelihood jump"
+                f"{installation.name}: judged by a Student-t with {nu:g} degrees of freedom, "
+                "without a gate, which would make the likelihood jump"
             )
-        sensors.append(own)
+        sensors.append(installation)
         freedom.append(nu)
         weight.append(factor)
     tails = Tails(np.array(freedom), np.array(weight).reshape(len(sensors), size))
@@ -91,12 +97,12 @@ def consistent_weight(freedom: float, dof: int) -> float:
 def known_truth(recording: Recording, truth: Truth, state: Any) -> Known:
     """The truth at the output times, for the fields of a state."""
     time = np.asarray(recording.log.schedule.time)[recording.outputs]
-    fields, there = truth_at(truth, time, charts_of(type(state)))
-    return Known(recording.outputs, fields, there)
+    fields, known = truth_at(truth, time, charts_of(type(state)))
+    return Known(recording.outputs, fields, known)
 
 
 def innovation_losses(
-    found: Estimates, sensor: Int[Array, " T"], tails: Tails
+    estimates: Estimates, sensor: Int[Array, " T"], tails: Tails
 ) -> tuple[Float[Array, " T"], Int[Array, ""]]:
     r"""Minus the log-likelihood of every reading that was fused, 0 elsewhere; and their number.
 
@@ -107,7 +113,7 @@ def innovation_losses(
     Source: F. Schweppe, "Evaluation of likelihood functions for Gaussian signals", IEEE
     Transactions on Information Theory 11(1), 1965 (the normal one).
     """
-    outcome = found.outcome
+    outcome = estimates.outcome
     fused = outcome.verdict == Verdict.FUSED
     at = jnp.maximum(sensor, 0)
     nis, dof = jnp.where(fused, outcome.nis, 0.0), jnp.maximum(outcome.dof, 1)
@@ -121,20 +127,22 @@ def innovation_losses(
     return jnp.where(fused, loss, 0.0), jnp.sum(fused)
 
 
-def truth_losses(found: Estimates, known: Known) -> tuple[Float[Array, " K"], Int[Array, ""]]:
+def truth_losses(
+    estimates: Estimates, known: Known
+) -> tuple[Float[Array, " K"], Int[Array, ""]]:
     r"""Minus the log-density of the true error under the belief, at every output time.
 
     $\tfrac12(e^\top P^{-1} e + \log\det P + d \log 2\pi)$ with $e = x \boxminus \hat x$ and P
     the block of the covariance of the fields that truth knows: a small error and an honest
     covariance make it small. 0 where truth is unknown; the second result counts the others.
     """
-    mean = jax.tree.map(lambda leaf: leaf[known.events], found.moments.mean)
+    mean = jax.tree.map(lambda leaf: leaf[known.events], estimates.moments.mean)
     states = space_of(type(mean))
     cuts: dict[str, slice] = states.slices()
     charts: dict[str, Chart] = dict(zip(states.cls._fields, states.charts, strict=True))
     names = list(known.fields)
     picked = np.concatenate([np.arange(cuts[n].start, cuts[n].stop) for n in names])
-    cov = found.moments.cov[known.events][:, picked][:, :, picked]
+    cov = estimates.moments.cov[known.events][:, picked][:, :, picked]
 
     def one(true: dict[str, Array], believed: Any, cov: Float[Array, "k k"]):
         parts = [charts[n].boxminus(true[n], getattr(believed, n)) for n in names]
@@ -157,6 +165,6 @@ class Losses(eqx.Module):
 
     def __call__(self, rig: Rig, log: Log) -> tuple[Float[Array, " N"], Int[Array, ""]]:
         """The losses, and how many readings were fused: a number that must not change."""
-        found = pass_over(self.filter, rig, log, jr.key(0), False)[0]
-        losses, count = innovation_losses(found, log.schedule.sensor, self.tails)
-        return (losses if self.known is None else truth_losses(found, self.known)[0]), count
+        estimates = pass_over(self.filter, rig, log, jr.key(0), False)[0]
+        losses, count = innovation_losses(estimates, log.schedule.sensor, self.tails)
+        return (losses if self.known is None else truth_losses(estimates, self.known)[0]), count

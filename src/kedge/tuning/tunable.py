@@ -51,10 +51,10 @@ def tunables(rig: Rig) -> list[Tunable]:
     What is noise is found by asking the models: a number that changes how a step or a reading
     scatters, but not what it is without noise.
     """
-    found = [*_of_vehicle(rig), *_of_sensors(rig)]
-    numeric = [t for t in found if t.latency_of is None]
+    numbers = [*_of_vehicle(rig), *_of_sensors(rig)]
+    numeric = [t for t in numbers if t.latency_of is None]
     noisy = dict(zip([t.key for t in numeric], _are_noise(rig, numeric), strict=True))
-    return [t._replace(is_noise=noisy.get(t.key, False)) for t in found]
+    return [t._replace(is_noise=noisy.get(t.key, False)) for t in numbers]
 
 
 def choose(rig: Rig, names: Sequence[str] | None) -> list[Tunable]:
@@ -65,16 +65,16 @@ def choose(rig: Rig, names: Sequence[str] | None) -> list[Tunable]:
     Raises:
         ConfigError: a name is unknown, stands for several, or stands twice.
     """
-    there = tunables(rig)
+    available = tunables(rig)
     if names is None:
-        chosen = [t for t in there if t.is_noise and t.value > 0 and t.unit != "s"]
+        chosen = [t for t in available if t.is_noise and t.value > 0 and t.unit != "s"]
         if not chosen:
             raise ConfigError(
                 "parameters: the rig has no noise to tune; name some of "
-                f"{', '.join(t.key for t in there) or 'none'}"
+                f"{', '.join(t.key for t in available) or 'none'}"
             )
         return chosen
-    chosen = [_named(there, name) for name in names]
+    chosen = [_named(available, name) for name in names]
     for tunable in chosen:
         if chosen.count(tunable) > 1:
             raise ConfigError(f"parameters: found {tunable.key} twice, expected it once")
@@ -89,15 +89,17 @@ def placed(rig: Rig, chosen: Sequence[Tunable], values: Float[Array, " p"]) -> R
     if not where:
         return rig
     return eqx.tree_at(
-        lambda own: [_follow(own, path) for path, _ in where], rig, [v for _, v in where]
+        lambda tree: [_follow(tree, path) for path, _ in where], rig, [v for _, v in where]
     )
 
 
-def _named(there: Sequence[Tunable], name: str) -> Tunable:
-    exact = [t for t in there if t.key == name]
-    ends = exact or [t for t in there if t.key.endswith(f".{name}")]
+def _named(available: Sequence[Tunable], name: str) -> Tunable:
+    exact = [t for t in available if t.key == name]
+    ends = exact or [t for t in available if t.key.endswith(f".{name}")]
     if not ends:
-        raise ConfigError(f"parameters: {unknown('parameter', name, [t.key for t in there])}")
+        raise ConfigError(
+            f"parameters: {unknown('parameter', name, [t.key for t in available])}"
+        )
     if len(ends) > 1:
         raise ConfigError(
             f"parameters: {name!r} stands for {', '.join(t.key for t in ends)}; "
@@ -111,7 +113,7 @@ def _of_vehicle(rig: Rig) -> list[Tunable]:
     augmented: Mapping[str, Any] = {}
     if isinstance(vehicle, Augmented):
         vehicle, at, augmented = vehicle.vehicle, ("vehicle", "vehicle"), vehicle.augmented
-    found = [
+    numbers = [
         Tunable(f"vehicle.parameters.{name}", (*at, name), value, unit, False)
         for name, value, unit in _numbers(vehicle)
         # What is estimated with the state is not tuned.
@@ -122,31 +124,33 @@ def _of_vehicle(rig: Rig) -> list[Tunable]:
             value = float(getattr(quantity, field))
             if np.isfinite(value):
                 key = f"vehicle.augmented.{name}.{field}"
-                found.append(
+                numbers.append(
                     Tunable(key, ("vehicle", "augmented", name, field), value, unit, False)
                 )
-    return found
+    return numbers
 
 
 def _of_sensors(rig: Rig) -> list[Tunable]:
-    found = []
-    for index, own in enumerate(rig.sensors):
-        at, key = ("sensors", index), f"sensors.{_quoted(own.name)}"
-        found += [
+    numbers = []
+    for index, installation in enumerate(rig.sensors):
+        at, key = ("sensors", index), f"sensors.{_quoted(installation.name)}"
+        numbers += [
             Tunable(f"{key}.parameters.{name}", (*at, "sensor", name), value, unit, False)
-            for name, value, unit in _numbers(own.sensor)
+            for name, value, unit in _numbers(installation.sensor)
         ]
-        if own.mount is not None:
+        if installation.mount is not None:
             places = [("x", "m"), ("y", "m"), ("heading", "rad")]
             if hasattr(rig.prior.mean, "attitude"):
                 places += [("z", "m"), ("roll", "rad"), ("pitch", "rad")]
             for name, unit in places:
-                value = float(getattr(own.mount, name))
-                found.append(
+                value = float(getattr(installation.mount, name))
+                numbers.append(
                     Tunable(f"{key}.mount.{name}", (*at, "mount", name), value, unit, False)
                 )
-        found.append(Tunable(f"{key}.latency", (*at, "latency"), own.latency, "s", False))
-    return found
+        numbers.append(
+            Tunable(f"{key}.latency", (*at, "latency"), installation.latency, "s", False)
+        )
+    return numbers
 
 
 def _quoted(name: str) -> str:
@@ -157,7 +161,7 @@ def _quoted(name: str) -> str:
 def _numbers(model: Any) -> list[tuple[str, float, str]]:
     """Name, value and unit of a model's parameters that are numbers on a continuous scale."""
     hints = get_type_hints(type(model), include_extras=True)
-    found = []
+    numbers = []
     for field in dataclasses.fields(model):
         value = getattr(model, field.name)
         kind = jnp.result_type(value) if isinstance(value, float | jax.Array) else None
@@ -166,8 +170,8 @@ def _numbers(model: Any) -> list[tuple[str, float, str]]:
         if jnp.issubdtype(kind, jnp.floating):
             marks = getattr(hints[field.name], "__metadata__", ())
             unit = next((m.unit for m in marks if hasattr(m, "unit")), "1")
-            found.append((field.name, float(value), unit))
-    return found
+            numbers.append((field.name, float(value), unit))
+    return numbers
 
 
 def _are_noise(rig: Rig, chosen: Sequence[Tunable]) -> list[bool]:
@@ -177,12 +181,14 @@ def _are_noise(rig: Rig, chosen: Sequence[Tunable]) -> list[bool]:
     rig = as_arrays(rig)
 
     def behaviour(values: Float[Array, " p"]) -> tuple[Array, Array]:
-        own = placed(rig, chosen, values)
-        calm, rough = _moved(own.vehicle, 0.0), _moved(own.vehicle, 1.0)
-        state = space(own.prior.mean).boxplus(own.prior.mean, _nudge(own.prior.mean))
+        changed = placed(rig, chosen, values)
+        calm, rough = _moved(changed.vehicle, 0.0), _moved(changed.vehicle, 1.0)
+        state = space(changed.prior.mean).boxplus(
+            changed.prior.mean, _nudge(changed.prior.mean)
+        )
         target = jnp.zeros((), int)
-        seen = [space(z).flatten(z) for z in (s.expect(state, target) for s in own.sensors)]
-        scatter = [jnp.ravel(s.noise_cov(state, target)) for s in own.sensors]
+        seen = [space(z).flatten(z) for z in (s.expect(state, target) for s in changed.sensors)]
+        scatter = [jnp.ravel(s.noise_cov(state, target)) for s in changed.sensors]
         return jnp.concatenate([calm, *seen]), jnp.concatenate([rough - calm, *scatter])
 
     values = jnp.asarray([t.value for t in chosen])

@@ -147,16 +147,16 @@ def _descend(
     def by_judgement(point: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal evaluations
         evaluations += 1
-        found = evaluator(point)
-        return found.total / evaluator.judged, found.gradient / evaluator.judged
+        minimum = evaluator(point)
+        return minimum.total / evaluator.judged, minimum.gradient / evaluator.judged
 
     if by_judgement(begin)[0] * evaluator.judged >= evaluator.ceiling:
         return Attempt(np.inf, begin, evaluations)
-    found = minimize(
+    minimum = minimize(
         by_judgement, begin, jac=True, method="L-BFGS-B", bounds=box.T,
         options={"maxiter": iterations, "ftol": 1e-12, "gtol": 1e-6 / evaluator.judged},
     )  # fmt: skip
-    return Attempt(float(found.fun), np.asarray(found.x), evaluations)
+    return Attempt(float(minimum.fun), np.asarray(minimum.x), evaluations)
 
 
 def _starts(
@@ -168,11 +168,11 @@ def _starts(
     """The rig's own values, then others up to ten times away."""
     random = np.random.default_rng(search.seed)
     reach = np.where(evaluator.logarithmic, np.log(10.0), 3.0)
-    found = [np.clip(first, *box)]
+    points = [np.clip(first, *box)]
     for _ in range(search.starts - 1):
         step = random.uniform(-reach, reach)
-        found.append(np.clip(first + step, *box))
-    return found
+        points.append(np.clip(first + step, *box))
+    return points
 
 
 def _bounds(

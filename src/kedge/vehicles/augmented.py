@@ -51,7 +51,7 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
                 value = self._after(name, state, dt / 2)
                 vehicle = eqx.tree_at(lambda v, n=name: getattr(v, n), vehicle, value)
         inner, noises = type(vehicle.start()), type(vehicle.noise_density())
-        moved = vehicle.step(
+        stepped = vehicle.step(
             inner(*state[: len(inner._fields)]),
             control,
             noises(*noise[: len(noises._fields)]),
@@ -60,7 +60,7 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
         after = (
             self._after(name, state, dt) + getattr(noise, name) * dt for name, _ in self.charts
         )
-        return type(state)(*moved, *after)
+        return type(state)(*stepped, *after)
 
     def _after(self, name: str, state: Any, time: Scalar) -> Any:
         """An augmented state after some time without noise."""
@@ -118,7 +118,7 @@ def augment(
         return vehicle
     known = _candidates(vehicle, sensors)
     taken = space(vehicle.start()).cls._fields
-    found, charts = {}, []
+    processes, charts = {}, []
     for name, wander in augmented.items():
         if name in taken:
             raise ContractError(f"augmented state {name!r} is in the vehicle's state already")
@@ -128,11 +128,11 @@ def augment(
                 f"optional field of a sensor; there are {', '.join(sorted(known)) or 'none'}"
             )
         chart, nominal = known[name]
-        found[name] = GaussMarkov(
+        processes[name] = GaussMarkov(
             1.0 * jnp.asarray(nominal), wander.random_walk, wander.time_constant
         )
         charts.append((name, chart))
-    return Augmented(vehicle, found, tuple(charts))
+    return Augmented(vehicle, processes, tuple(charts))
 
 
 def sharing_augmented(vehicle: AbstractVehicle, other: AbstractVehicle) -> AbstractVehicle:
@@ -146,7 +146,7 @@ def _candidates(
     vehicle: AbstractVehicle, sensors: Sequence[AbstractSensor]
 ) -> dict[str, tuple[Chart, Any]]:
     parameters = {f.name for f in dataclasses.fields(vehicle) if not f.metadata.get("static")}
-    found = {
+    candidates = {
         name: (chart, getattr(vehicle, name))
         for name, chart in _charts_of_parameters(type(vehicle)).items()
         if name in parameters
@@ -154,8 +154,8 @@ def _candidates(
     for sensor in sensors:
         charts = charts_of(sensor.reads)
         for name, default in sensor.reads._field_defaults.items():
-            found.setdefault(name, (charts[name], default))
-    return found
+            candidates.setdefault(name, (charts[name], default))
+    return candidates
 
 
 def _charts_of_parameters(cls: type) -> dict[str, Chart]:

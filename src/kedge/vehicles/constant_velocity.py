@@ -108,9 +108,9 @@ class ContinuousWhiteAcceleration(AbstractVehicle[State, Control, ContinuousNois
     acceleration_noise: AccelerationNoise = 0.1
 
     def step(self, state: State, control: Control, noise: ContinuousNoise, dt: Scalar) -> State:
-        moved = _held(state, noise.acceleration, dt)
+        held = _held(state, noise.acceleration, dt)
         # 1/3 = 1/4 + 1/12: what is missing in the held one's position, independent of it.
-        return moved._replace(position=moved.position + noise.swing * dt**2 / 12**0.5)
+        return held._replace(position=held.position + noise.swing * dt**2 / 12**0.5)
 
     def noise_density(self) -> ContinuousNoise:
         density = jnp.full(2, self.acceleration_noise)

@@ -62,15 +62,15 @@ class ImuWithSlopes(NamedTuple):
     angular_rate_slope: AngularRate3
 
 
-class Felt(NamedTuple):
-    """What a step amounts to, in the body's axes at its beginning."""
+class Increments(NamedTuple):
+    """Increments of a step, in the body's axes at its beginning."""
 
-    turn: Float[Array, "3"]
+    delta_angle: Float[Array, "3"]
     """Rotation vector, rad."""
-    push: Float[Array, "3"]
-    """Change of velocity, m/s."""
-    way: Float[Array, "3"]
-    """What the push adds to the position by the end, for a second of step, m/s."""
+    delta_velocity: Float[Array, "3"]
+    """m/s."""
+    delta_position: Float[Array, "3"]
+    """What the force adds to the position by the end, divided by the step, m/s."""
 
 
 class AbstractStrapdown(AbstractVehicle[Any, Any, Imu]):
@@ -103,25 +103,29 @@ class AbstractStrapdown(AbstractVehicle[Any, Any, Imu]):
         read = control.angular_rate - self.gyroscope_bias - noise.angular_rate
         return read / (1 + self.gyroscope_scale)
 
-    def felt(self, control: Any, noise: Imu, dt: Scalar) -> Felt:
-        r"""What a step of readings amounts to.
+    def increments(self, control: Any, noise: Imu, dt: Scalar) -> Increments:
+        r"""The increments of a step of readings.
 
         $\Delta v + \tfrac12 \Delta\theta \times \Delta v + \tfrac16 \Delta\theta \times
         (\Delta\theta \times \Delta v)$ is the integral of a force that is held in the body
-        while it turns, to third order in the turn; its integral again is the way.
+        while it turns, to third order in the turn; its integral is the change of position.
         """
         force = control.specific_force - self.accelerometer_bias - noise.specific_force
-        push = force / (1 + self.accelerometer_scale) * dt
-        turn = self.rate(control, noise) * dt
-        twist = jnp.cross(turn, push)
-        swirl = jnp.cross(turn, twist)
-        moved, way = push + twist / 2 + swirl / 6, push / 2 + twist / 6 + swirl / 24
+        velocity = force / (1 + self.accelerometer_scale) * dt
+        angle = self.rate(control, noise) * dt
+        once = jnp.cross(angle, velocity)
+        twice = jnp.cross(angle, once)
+        delta_velocity = velocity + once / 2 + twice / 6
+        delta_position = velocity / 2 + once / 6 + twice / 24
         if not self.slopes:
-            return Felt(turn, moved, way)
-        change = control.angular_rate_slope / (1 + self.gyroscope_scale) * dt**2
-        jolt = control.specific_force_slope / (1 + self.accelerometer_scale) * dt**2
-        sculling = (jnp.cross(turn, jolt) + jnp.cross(push, change)) / 12
-        return Felt(turn + jnp.cross(turn, change) / 12, moved + sculling, way - jolt / 12)
+            return Increments(angle, delta_velocity, delta_position)
+        rate_change = control.angular_rate_slope / (1 + self.gyroscope_scale) * dt**2
+        force_change = control.specific_force_slope / (1 + self.accelerometer_scale) * dt**2
+        coning = jnp.cross(angle, rate_change) / 12
+        sculling = (jnp.cross(angle, force_change) + jnp.cross(velocity, rate_change)) / 12
+        return Increments(
+            angle + coning, delta_velocity + sculling, delta_position - force_change / 12
+        )
 
     def noise_density(self) -> Imu:
         return Imu(jnp.full(3, self.accelerometer_noise), jnp.full(3, self.gyroscope_noise))
@@ -139,7 +143,7 @@ def turned(attitude: Attitude, turn: Float[Array, "3"]) -> Float[Array, "4"]:
     return after / jnp.linalg.norm(after)
 
 
-def carried(attitude: Attitude, frame_turn: Float[Array, "3"]) -> Float[Array, "4"]:
+def in_turned_map(attitude: Attitude, frame_turn: Float[Array, "3"]) -> Float[Array, "4"]:
     """An attitude in a map that has turned by so little that the sine is the angle.
 
     To third order in an angle that is below 1e-3 rad in any step of a map on the earth.
@@ -148,16 +152,18 @@ def carried(attitude: Attitude, frame_turn: Float[Array, "3"]) -> Float[Array, "
     return multiply(back, jnp.asarray(attitude))
 
 
-def brought(
-    attitude: Attitude, frame_turn: Float[Array, "3"], felt: Felt
+def in_first_axes(
+    attitude: Attitude, frame_turn: Float[Array, "3"], increments: Increments
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Push and way of a step on a map that turns by so much meanwhile, in its first axes.
+    """Changes of velocity and position on a map that turns meanwhile, in its first axes.
 
-    Half of the turn lies before the mean of the push, and a third before that of the way.
+    Half of the turn lies before the mean change of velocity, a third before that of position.
     """
-    middle = carried(attitude, frame_turn / 2)
-    push = rotate(middle, felt.push)
-    return push, rotate(middle, felt.way) + jnp.cross(frame_turn, push) / 12
+    middle = in_turned_map(attitude, frame_turn / 2)
+    delta_velocity = rotate(middle, increments.delta_velocity)
+    return delta_velocity, rotate(middle, increments.delta_position) + jnp.cross(
+        frame_turn, delta_velocity
+    ) / 12
 
 
 class AbstractLocal(AbstractStrapdown):
@@ -169,20 +175,21 @@ class AbstractLocal(AbstractStrapdown):
 
     def moved(self, state: Any, control: Any, noise: Imu, dt: Scalar) -> State:
         """Position, velocity and attitude after a step."""
-        felt, attitude = self.felt(control, noise, dt), jnp.asarray(state.attitude)
+        increments, attitude = self.increments(control, noise, dt), jnp.asarray(state.attitude)
         fall = jnp.stack([jnp.zeros(()), jnp.zeros(()), -jnp.asarray(self.gravity) * dt])
         if self.earth:
             spin = earth_spin(self.latitude)
-            push, way = brought(attitude, spin * dt, felt)
-            attitude = carried(attitude, spin * dt)
-            middle = state.velocity + (push + fall) / 2
+            delta_velocity, delta_position = in_first_axes(attitude, spin * dt, increments)
+            attitude = in_turned_map(attitude, spin * dt)
+            middle = state.velocity + (delta_velocity + fall) / 2
             fall = fall - 2 * jnp.cross(spin, middle) * dt
         else:
-            push, way = rotate(attitude, felt.push), rotate(attitude, felt.way)
+            delta_velocity = rotate(attitude, increments.delta_velocity)
+            delta_position = rotate(attitude, increments.delta_position)
         return State(
-            position=state.position + (state.velocity + way + fall / 2) * dt,
-            velocity=state.velocity + push + fall,
-            attitude=turned(attitude, felt.turn),
+            position=state.position + (state.velocity + delta_position + fall / 2) * dt,
+            velocity=state.velocity + delta_velocity + fall,
+            attitude=turned(attitude, increments.delta_angle),
         )
 
 

@@ -8,7 +8,14 @@ from kedge.core.quantities import Metres, Radians, Scalar
 from kedge.core.registry import vehicles
 from kedge.core.rotations import rotate
 from kedge.numerics.earth import Origin, earth_spin, gravity, radii
-from kedge.vehicles.strapdown import AbstractStrapdown, Imu, State, brought, carried, turned
+from kedge.vehicles.strapdown import (
+    AbstractStrapdown,
+    Imu,
+    State,
+    in_first_axes,
+    in_turned_map,
+    turned,
+)
 
 
 @vehicles.add("strapdown-geodetic")
@@ -32,7 +39,7 @@ class GeodeticStrapdown(AbstractStrapdown):
     height: Metres = 0.0
 
     def step(self, state: State, control: Any, noise: Imu, dt: Scalar) -> State:
-        felt = self.felt(control, noise, dt)
+        increments = self.increments(control, noise, dt)
         attitude = jnp.asarray(state.attitude)
         origin = Origin(self.latitude, 0.0, self.height)
         east, north = origin.scales()
@@ -41,7 +48,7 @@ class GeodeticStrapdown(AbstractStrapdown):
         # Where and how fast the vehicle is in the middle of the step, to first order.
         level = jnp.zeros(2)
         fall = jnp.append(level, -gravity(latitude, height) * dt)
-        speed = state.velocity + (rotate(attitude, felt.push) + fall) / 2
+        speed = state.velocity + (rotate(attitude, increments.delta_velocity) + fall) / 2
         latitude = latitude + speed[1] * dt / 2 / (radii(latitude).meridian + height)
         height = height + speed[2] * dt / 2
 
@@ -56,16 +63,16 @@ class GeodeticStrapdown(AbstractStrapdown):
         )
         fall = jnp.append(level, -gravity(latitude, height) * dt)
         turning = (spin + transport) * dt
-        push, way = brought(attitude, turning, felt)
+        delta_velocity, delta_position = in_first_axes(attitude, turning, increments)
         fall = fall - jnp.cross(2 * spin + transport, speed) * dt
-        mean = state.velocity + way + fall / 2
+        mean = state.velocity + delta_position + fall / 2
         ways = jnp.stack(
             [east / (transverse * jnp.cos(latitude)), north / meridian, jnp.ones(())]
         )
         return State(
             position=state.position + ways * mean * dt,
-            velocity=state.velocity + push + fall,
-            attitude=turned(carried(attitude, turning), felt.turn),
+            velocity=state.velocity + delta_velocity + fall,
+            attitude=turned(in_turned_map(attitude, turning), increments.delta_angle),
         )
 
     def start(self) -> State:

@@ -120,19 +120,19 @@ class UnderwaterWorld(AbstractGuidedWorld):
         keys, prior = jr.split(key, 4), scenario.rig.prior
         states = space_of(type(prior.mean))
         white = square_root(prior.cov) @ jr.normal(keys[0], (states.size,))
-        drawn, rest = states.boxplus(prior.mean, white), _slow(scenario)
-        hull = self.mistaken(keys[1], [SCALES[name] for name in rest if name in SCALES])
+        drawn, parameters = states.boxplus(prior.mean, white), _slow(scenario)
+        hull = self.mistaken(keys[1], [SCALES[name] for name in parameters if name in SCALES])
         body = Body(
             self.intended(scenario, 0.0),
             jnp.asarray(self.current, float),
-            {name: getattr(drawn, name) for name in rest},
+            {name: getattr(drawn, name) for name in parameters},
             hull,
             jnp.zeros(()),
         )
         if _trims(scenario):
             command = self.guidance(scenario)(body.state, 0.0)
             body = body._replace(trim_moment=self.unexplained(body, command))
-        size = sum(charts_of(states.cls)[name].size for name in rest)
+        size = sum(charts_of(states.cls)[name].size for name in parameters)
         steps = scenario.steps
         gusts = jr.normal(keys[2], (steps, 9))
         wanders = jr.normal(keys[3], (steps, size))
@@ -153,8 +153,8 @@ class UnderwaterWorld(AbstractGuidedWorld):
         return nominal.changed(**{n: getattr(nominal, n) * f for n, f in factor.items()})
 
     def state(self, body: Body) -> Any:
-        own = body.current, body.trim_moment, *body.rest.values()
-        return _truth(tuple(body.rest))(*body.state, *own)
+        extras = body.current, body.trim_moment, *body.rest.values()
+        return _truth(tuple(body.rest))(*body.state, *extras)
 
     def true_vehicle(self, body: Body) -> Underwater:
         """The hull that nobody knows, with what the rig estimates of it."""
@@ -222,19 +222,21 @@ class UnderwaterWorld(AbstractGuidedWorld):
         noise = Noise(shaken[:3], shaken[3:])
         state = vehicle.step(body.state, command, noise, scenario.dt)
         drifting = self.current_walk * root * drifts
-        rest, augmented = {}, _slow(scenario)
+        parameters, augmented = {}, _slow(scenario)
         for name, value in body.rest.items():
-            own, size = augmented[name], max(jnp.size(value), 1)
+            process, size = augmented[name], max(jnp.size(value), 1)
             white, wanders = wanders[:size].reshape(jnp.shape(value)), wanders[size:]
-            decay = jnp.exp(-scenario.dt / jnp.asarray(own.time_constant))
-            rest[name] = (
-                own.nominal + (value - own.nominal) * decay + own.random_walk * root * white
+            decay = jnp.exp(-scenario.dt / jnp.asarray(process.time_constant))
+            parameters[name] = (
+                process.nominal
+                + (value - process.nominal) * decay
+                + process.random_walk * root * white
             )
-        after = Body(state, body.current + drifting, rest, body.hull, body.trim_moment)
+        after = Body(state, body.current + drifting, parameters, body.hull, body.trim_moment)
         if _trims(scenario):
             after = after._replace(trim_moment=self.unexplained(after, command))
-        told = _told(scenario, command)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (after, told))
+        reported = _told(scenario, command)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (after, reported))
 
     def watch(self, scenario: Scenario, history: History) -> Float[Array, "K w"]:
         times = jnp.arange(1, scenario.steps + 1) * scenario.dt
@@ -272,10 +274,10 @@ def _slow(scenario: Scenario) -> dict[str, Any]:
 
 
 @ft.cache
-def _truth(rest: tuple[str, ...]) -> Any:
+def _truth(parameters: tuple[str, ...]) -> Any:
     """The class of the true state."""
     create: Any = NamedTuple
-    return create("Truth", [(name, Any) for name in (*State._fields, *APART, *rest)])
+    return create("Truth", [(name, Any) for name in (*State._fields, *APART, *parameters)])
 
 
 def _told(scenario: Scenario, command: Control) -> Any:

@@ -124,7 +124,7 @@ class Unpiloted(AbstractCommanded):
         vehicle, dt, steps = scenario.rig.vehicle, scenario.dt, scenario.steps
         start: Any = scenario.rig.prior.mean
         start = start._replace(velocity_body=self.velocity, angular_rate=self.rate)
-        noises, told = space(vehicle.noise_density()), self.told(steps)
+        noises, commands = space(vehicle.noise_density()), self.told(steps)
         white = jax.random.normal(key, (steps, noises.size))
         shocks = self.noise * white * process_std(vehicle, dt)[None]
 
@@ -133,8 +133,8 @@ class Unpiloted(AbstractCommanded):
             after = vehicle.step(state, control, noises.unflatten(shock), dt)
             return after, after
 
-        _, path = lax.scan(body, start, (told, shocks))
-        return History(path, told, start)
+        _, path = lax.scan(body, start, (commands, shocks))
+        return History(path, commands, start)
 
 
 def _sums(rates: Float[Array, "..."], dt: Scalar) -> Float[Array, "..."]:

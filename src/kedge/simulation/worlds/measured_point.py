@@ -40,6 +40,6 @@ class MeasuredPoint(AbstractWorld):
         moving = (time >= self.delay)[:, None]
         velocity = jnp.where(moving, places.velocity, 0.0)
         white = jr.normal(key, (steps, 2)) * self.acceleration_noise / jnp.sqrt(dt)
-        told = Control(jnp.diff(velocity, axis=0) / dt + white)
+        reported = Control(jnp.diff(velocity, axis=0) / dt + white)
         path = State(places.position[1:], velocity[1:])
-        return History(path, told, State(places.position[0], velocity[0]))
+        return History(path, reported, State(places.position[0], velocity[0]))

@@ -74,7 +74,7 @@ class MeasuredVehicle(AbstractWorld):
         motion = self.motion(jnp.arange(steps + 1) * dt)
         true = self.readings(*motion, dt)
         wrong = errors(preset(self.imu), steps, dt, imu_key, self.instability)
-        told = Imu(
+        reported = Imu(
             true.specific_force + wrong.specific_force, true.angular_rate + wrong.angular_rate
         )
         position, velocity, attitude = motion
@@ -90,7 +90,7 @@ class MeasuredVehicle(AbstractWorld):
         )
         start = jax.tree.map(lambda leaf: leaf[0], path)
         first = start._replace(position=position[0], velocity=velocity[0], attitude=attitude[0])
-        return History(path, told, first)
+        return History(path, reported, first)
 
     def motion(self, time: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and attitude at some times."""

@@ -131,9 +131,9 @@ class OmniRobot(AbstractGuidedWorld):
         span, robot = self.hold(scenario) * scenario.dt, self._robot()
 
         def steer(believed: State, time: Scalar) -> WheelRates:
-            here, there = self.route.at(time), self.route.at(time + span)
-            velocity = (there.position - here.position) / span
-            turning = wrap(there.heading - here.heading) / span
+            here, next_place = self.route.at(time), self.route.at(time + span)
+            velocity = (next_place.position - here.position) / span
+            turning = wrap(next_place.heading - here.heading) / span
             place = Place(here.position, velocity, here.heading, turning)
             velocity, turning = follow(place, *believed, self.gain, self.turn_gain)
             heading = believed.heading + turning * span / 2
@@ -195,10 +195,10 @@ class OmniRobot(AbstractGuidedWorld):
         # The latest event that began, and how much of the step is left of it.
         number = jnp.arange(steps)[:, None]
         latest = lax.cummax(jnp.where(begins, number, -1))
-        there = jnp.maximum(latest, 0)
-        left = jnp.take_along_axis(lengths, there, axis=0) - (number - latest)
-        share = jnp.where(latest < 0, 0.0, jnp.clip(left, 0.0, 1.0))
-        events = share * jnp.take_along_axis(losses, there, axis=0)
+        event = jnp.maximum(latest, 0)
+        remaining = jnp.take_along_axis(lengths, event, axis=0) - (number - latest)
+        share = jnp.where(latest < 0, 0.0, jnp.clip(remaining, 0.0, 1.0))
+        events = share * jnp.take_along_axis(losses, event, axis=0)
         return (1 - self.slip * bias)[None] * (1 - events - self.slip * white)
 
     def caught(self, key: PRNGKeyArray, counts: Float[Array, "4"]) -> Float[Array, "4"]:

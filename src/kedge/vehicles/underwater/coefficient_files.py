@@ -95,25 +95,25 @@ def _read(name: str, path: Path) -> Coefficients:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{name}: is no TOML file: {error}") from error
     known = [field.name for field in fields(Coefficients)]
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     wrong: list[str] = []
     for key, value in _entries(content):
         short = key.rpartition(".")[2]
         if short not in known:
             wrong.append(f"{key}: {unknown('coefficient', short, known)}")
-        elif short in found:
+        elif short in values:
             wrong.append(f"{key}: found twice, expected each coefficient once")
         elif type(value) not in (int, float) or not math.isfinite(value):
             wrong.append(f"{key}: found {value!r}, expected a finite number")
-        found.setdefault(short, value)
-    wrong += [f"{key}: this coefficient is missing" for key in known if key not in found]
+        values.setdefault(short, value)
+    wrong += [f"{key}: this coefficient is missing" for key in known if key not in values]
     if wrong:
         raise ConfigError("\n".join(f"{name}: {line}" for line in wrong))
     try:
-        hull = Coefficients(**{key: float(value) for key, value in found.items()})
+        hull = Coefficients(**{key: float(value) for key, value in values.items()})
     except ContractError as error:
         raise ConfigError(f"{name}: {error}") from error
-    _warn_of_sinking(name, found)
+    _warn_of_sinking(name, values)
     return hull
 
 
@@ -127,10 +127,10 @@ def _entries(content: dict[str, Any]) -> list[tuple[str, Any]]:
     return entries
 
 
-def _warn_of_sinking(name: str, found: dict[str, float]) -> None:
-    weight, buoyancy = found["weight"], found["buoyancy"]
+def _warn_of_sinking(name: str, values: dict[str, float]) -> None:
+    weight, buoyancy = values["weight"], values["buoyancy"]
     if weight > buoyancy:
-        heaving = weight / GRAVITY - found["Zwdot"]
+        heaving = weight / GRAVITY - values["Zwdot"]
         warnings.warn(
             f"{name}: weight {weight:g} N is above buoyancy {buoyancy:g} N: the vehicle sinks, "
             f"at first with {(weight - buoyancy) / heaving:.2g} m/s^2; fins hold it at speed "

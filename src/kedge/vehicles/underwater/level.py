@@ -141,8 +141,8 @@ def moved_level(
         velocity, pose = x
         ahead, left = direction(pose[3]), direction(pose[3] + jnp.pi / 2)
         plane = ahead * velocity[0] + left * velocity[1]
-        moved = jnp.stack([plane[0], plane[1], velocity[2], velocity[5]])
-        return push(velocity) + shaken, moved
+        velocity_in_map = jnp.stack([plane[0], plane[1], velocity[2], velocity[5]])
+        return push(velocity) + shaken, velocity_in_map
 
     twist = jnp.concatenate([state.velocity_body, state.angular_rate])
     pose = jnp.append(state.position, state.heading)

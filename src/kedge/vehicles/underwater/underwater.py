@@ -125,8 +125,10 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
             velocity, quaternion = x[:6], x[9:]
             turn = matrix_of(quaternion)
             push = pushed(velocity, turn) + shaken
-            moved = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
-            return jnp.concatenate([push, moved, spun(quaternion, FLIP[3:] * velocity[3:])])
+            velocity_in_map = jnp.sum(turn * (FLIP[:3] * velocity[:3])[None], axis=1) + current
+            return jnp.concatenate(
+                [push, velocity_in_map, spun(quaternion, FLIP[3:] * velocity[3:])]
+            )
 
         x = jnp.concatenate([self._through(state), state.position, state.attitude])
         x = integrate(self.integrator, rates, x, dt)
@@ -160,8 +162,8 @@ class Underwater(AbstractVehicle[State, Control, Noise]):
     def longest_step(self) -> float:
         """From the modes at rest and in a straight cruise."""
         hull = self.hull
-        found = [modes(hull, speed) for speed in (0.0, cruise(hull))]
-        return longest_step(self.integrator, np.concatenate(found))
+        eigenvalues = [modes(hull, speed) for speed in (0.0, cruise(hull))]
+        return longest_step(self.integrator, np.concatenate(eigenvalues))
 
     def control_limits(self) -> Control:
         """Fins turn no further than they can."""
