@@ -1,18 +1,30 @@
 """The checks refuse what breaks a law, and say which: no check that cannot fail."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
 
-from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.contracts import AbstractOdeVehicle, AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
-from kedge.core.quantities import Bearing, Heading, Range, Speed
+from kedge.core.manifolds import space_of
+from kedge.core.quantities import (
+    Bearing,
+    Heading,
+    Position,
+    Range,
+    Speed,
+    SteeringAngle,
+    Within,
+    YawRate,
+)
 from kedge.core.registry import vehicles
+from kedge.core.rotations import direction
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.testing import check_filter, check_sensor, check_vehicle
+from kedge.testing.spaces import states_about
 
 
 class State(NamedTuple):
@@ -72,7 +84,7 @@ VEHICLE = {
     "decay": "noise has one variance however time is cut",
     "rest": "the Jacobians are finite, also at rest",
     "slope": "the Jacobians are those of central differences",
-    "drive": r"what drive\(\) does stays finite for 60 s",
+    "drive": r"what nominal_control\(\) does stays finite for 60 s",
     "shape": "step keeps the structure, the shapes and the dtypes",
     "dtype": "step keeps the structure, the shapes and the dtypes",
     "raise": "step can be traced.*found ValueError: out of order",
@@ -289,3 +301,64 @@ FILTER = {
 def test_filter_that_breaks_a_law(fault):
     with pytest.raises(ContractError, match=f"filter Skewed.*{FILTER[fault]}"):
         check_filter(Skewed(fault))
+
+
+class Steering(NamedTuple):
+    rate: YawRate
+    speed: Speed
+
+
+class Anywhere(NamedTuple):
+    position: Position
+    heading: Heading
+    steering_angle: SteeringAngle
+
+
+class Limited(NamedTuple):
+    position: Position
+    heading: Heading
+    steering_angle: Annotated[SteeringAngle, Within(-0.6, 0.6)]
+
+
+class Bicycle(AbstractOdeVehicle):
+    r"""$\dot\psi = v \tan\delta / L$, $\dot\delta = u$: correct, but not beyond a right angle.
+
+    Source: R. Rajamani, "Vehicle Dynamics and Control", 2012, section 2.2.
+    """
+
+    limited: bool = eqx.field(static=True, default=True)
+
+    def rates(self, state, control, noise):
+        speed = control.speed + noise.speed
+        turn = speed * jnp.tan(state.steering_angle) / 2.5
+        rates = speed * direction(state.heading), turn, control.rate + noise.rate
+        return type(state)(*rates)
+
+    def noise_density(self):
+        return Steering(jnp.array(0.01), jnp.array(0.1))
+
+    def start(self):
+        kind = Limited if self.limited else Anywhere
+        return kind(jnp.zeros(2), jnp.array(0.0), jnp.array(0.0))
+
+    def nominal_control(self, time):
+        return Steering(0.1 * jnp.cos(0.5 * time), jnp.array(10.0))
+
+
+def test_a_steering_angle_is_tried_within_its_range():
+    check_vehicle(Bicycle())
+
+
+def test_a_vehicle_that_breaks_a_law_is_told_at_which_state():
+    with pytest.raises(ContractError, match=r"at the state position=.*steering_angle=.*Within"):
+        check_vehicle(Bicycle(limited=False))
+
+
+def test_states_are_tried_all_over_a_range_and_nowhere_else():
+    states = space_of(Limited)
+    base = Limited(jnp.zeros(2), jnp.array(0.0), jnp.array(0.0))
+    deltas = 3 * jax.random.normal(jax.random.key(0), (200, states.size))
+    points = states_about(states, base, deltas)
+    assert jnp.abs(points.steering_angle).max() < 0.6
+    assert points.steering_angle.std() > 0.2
+    assert points.position.std() > 2

@@ -9,6 +9,10 @@ from types import ModuleType
 import pytest
 
 import kedge
+from kedge import filters, simulation, vehicles
+from kedge.core import registry
+from kedge.core.lazy import names_in
+from kedge.testing import stubs
 
 
 @pytest.mark.parametrize("name", kedge.__all__)
@@ -16,12 +20,50 @@ def test_a_public_name_is_there(name):
     assert getattr(kedge, name) is not None
 
 
-@pytest.mark.parametrize("name", [n for n in kedge.__all__ if n != "__version__"])
+ROOMS = ("calibration", "filters", "positioning", "sensors", "simulation", "vehicles")
+
+
+@pytest.mark.parametrize("name", [n for n in kedge.__all__ if n not in (*ROOMS, "testing")])
 def test_a_public_name_stays_what_it_is(name):
     """Importing a subpackage sets an attribute of the package, which would hide the name."""
-    for part in ("vehicles", "sensors", "filters", "estimation", "simulation", "evaluation"):
+    for part in (*ROOMS, "estimation", "evaluation", "studies", "tuning"):
         importlib.import_module(f"kedge.{part}")
     assert not isinstance(getattr(kedge, name), ModuleType)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_names_of_a_room_are_there(room):
+    module = importlib.import_module(f"kedge.{room}")
+    assert len(module.__all__) > 5
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+
+
+@pytest.mark.parametrize("room", stubs.ROOMS)
+def test_a_stub_lists_what_is_registered(room):
+    """If this fails: python -m kedge.testing.stubs, then make format."""
+    assert names_in(stubs.stub_file(room)) == stubs.listed(room)
+
+
+def test_a_class_has_the_name_of_its_registry():
+    assert filters.GaussHermite is registry.filters.get("gauss-hermite")
+    assert simulation.Circle is registry.routes.get("circle")
+
+
+def test_a_member_of_somebody_else_is_there_without_a_list():
+    class Hover(kedge.AbstractVehicle):
+        """Stands."""
+
+    registry.vehicles.add("hover-craft")(Hover)
+    try:
+        assert vehicles.HoverCraft is Hover
+        assert "HoverCraft" in dir(vehicles)
+    finally:
+        del registry.vehicles._members["hover-craft"]
+
+
+def test_a_state_says_whose_it_is():
+    assert repr(vehicles.Unicycle().start()).startswith("unicycle.State(position=")
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -273,6 +273,29 @@ AUGMENTED = "augmented"
 """Annotation of a field that a vehicle takes along: biases, scales, the current around it."""
 
 
+@dataclass(frozen=True)
+class Within:
+    """Annotation of a field whose values lie in a range, such as a steering angle's.
+
+    ``Annotated[SteeringAngle, Within(-0.6, 0.6)]``. Nothing is clipped: it says where the
+    contract checks may try a model.
+    """
+
+    low: float
+    high: float
+
+
+@ft.cache
+def ranges_of(cls: Any) -> dict[str, Within]:
+    """The ranges of those fields of a ``NamedTuple`` that have one."""
+    found = {}
+    for name, hint in get_type_hints(cls, include_extras=True).items():
+        for note in getattr(hint, "__metadata__", ()):
+            if isinstance(note, Within):
+                found[name] = note
+    return found
+
+
 @ft.cache
 def augmented_of(cls: Any) -> tuple[bool, ...]:
     """For each tangent component of a ``NamedTuple``: whether it is marked ``AUGMENTED``."""

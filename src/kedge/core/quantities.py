@@ -9,6 +9,7 @@ from typing import Annotated
 from jaxtyping import Array, Float
 
 from kedge.core.manifolds import Circle, Euclidean, Rotation
+from kedge.core.manifolds import Within as Within
 from kedge.core.rotations import Scalar as Scalar
 
 Position = Annotated[Float[Array, "2"], Euclidean("m", (2,))]

@@ -10,6 +10,7 @@ import dataclasses
 import difflib
 import importlib
 import pkgutil
+import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
@@ -43,6 +44,7 @@ class Registry(Generic[T]):
                     f"{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
                 )
             self._members[name] = cls
+            _name_owner(cls)
             return cls
 
         return register
@@ -77,6 +79,17 @@ class Registry(Generic[T]):
         self._discover()
         return sorted(self._members)
 
+    def by_class_name(self, name: str) -> type[T]:
+        """The member registered as ``my-robot``, asked for as ``MyRobot``.
+
+        Raises:
+            UnknownName: with the names that do exist.
+        """
+        known = {camel_case(member): member for member in self.names()}
+        if name not in known:
+            raise UnknownName(unknown(self.family, name, list(known)))
+        return self._members[known[name]]
+
     def name_of(self, cls: type) -> str:
         """The name under which ``cls`` is registered; else what the class is called."""
         return next((n for n, member in self._members.items() if member is cls), cls.__name__)
@@ -91,6 +104,34 @@ class Registry(Generic[T]):
                 importlib.import_module(module.name)
         for point in entry_points(group=f"kedge.{self.family}"):
             point.load()
+
+
+def camel_case(name: str) -> str:
+    """The public name of a member: ``gauss-hermite`` is ``GaussHermite``."""
+    return "".join(part[:1].upper() + part[1:] for part in name.split("-"))
+
+
+def _name_owner(member: type) -> None:
+    """Have the ``NamedTuple`` classes of a member's module say whose they are.
+
+    There is a ``State`` in every module of a vehicle: it shows as ``unicycle.State(...)``.
+    """
+    module = sys.modules.get(member.__module__)
+    for cls in list(vars(module).values()) if module is not None else []:
+        if (
+            isinstance(cls, type)
+            and issubclass(cls, tuple)
+            and hasattr(cls, "_fields")
+            and cls.__module__ == member.__module__
+        ):
+            cls.__repr__ = _owned_repr
+
+
+def _owned_repr(self: Any) -> str:
+    """``unicycle.State(position=..., heading=...)``."""
+    cls = type(self)
+    fields = ", ".join(f"{name}={part!r}" for name, part in self._asdict().items())
+    return f"{cls.__module__.rpartition('.')[2]}.{cls.__qualname__}({fields})"
 
 
 def unknown(kind: str, name: str, known: list[str]) -> str:

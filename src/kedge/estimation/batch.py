@@ -1,7 +1,7 @@
 """Offline estimation: scan a filter over a log."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import equinox as eqx
 import jax
@@ -9,17 +9,38 @@ from jaxtyping import PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.compiled import Engine, compiled_pass
-from kedge.estimation.log import Log
+from kedge.estimation.log import Log, Recording, events_of
 from kedge.estimation.passage import require_smoothable
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.traced import Estimates as Estimates
 from kedge.estimation.traced import pass_over as pass_over
 
+T = TypeVar("T")
 
+
+@overload
 def estimate(
     filter: AbstractFilter,
     rig: Rig,
-    log: Log,
+    log: Log | Recording,
+    key: PRNGKeyArray | None = None,
+    keep: None = None,
+    engine: Engine = "auto",
+) -> Estimates: ...
+@overload
+def estimate(
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log | Recording,
+    key: PRNGKeyArray | None = None,
+    *,
+    keep: Callable[[Estimates], T],
+    engine: Engine = "auto",
+) -> T: ...
+def estimate(
+    filter: AbstractFilter,
+    rig: Rig,
+    log: Log | Recording,
     key: PRNGKeyArray | None = None,
     keep: Callable[[Estimates], Any] | None = None,
     engine: Engine = "auto",
@@ -31,22 +52,28 @@ def estimate(
     else is stored: the covariances of a thousand states at every event would not fit.
     ``engine`` is explained at :data:`kedge.estimation.compiled.Engine`.
 
+    It is a pure function of arrays, so JAX's transformations go through it: ``jax.grad`` of
+    ``estimate(...).log_likelihood`` by parameters of the vehicle, the sensors, the prior or the
+    readings; ``jax.vmap`` over priors, parameters or keys; ``jax.jit`` around a program that
+    it is a part of. Within them XLA is the engine. Reverse mode keeps what the scan needs of
+    each event; with few parameters ``jax.jacfwd`` is quicker.
+
     Raises:
         ContractError: the engine asked for cannot run this.
     """
-    filter, rig, log = as_arrays((filter, rig, log))
-    native = compiled_pass(filter, rig, log, False, engine, keep)
+    filter, rig, events = as_arrays((filter, rig, events_of(log)))
+    native = compiled_pass(filter, rig, events, False, engine, keep)
     if native is not None:
-        return native.over(filter, rig, log)
+        return native.over(filter, rig, events)
     if keep is not None:
-        return _kept(filter, rig, log, _key(key), keep)
-    return scan(filter, rig, log, _key(key), False)[0]
+        return _kept(filter, rig, events, _key(key), keep)
+    return scan(filter, rig, events, _key(key), False)[0]
 
 
 def estimate_with_history(
     filter: AbstractFilter,
     rig: Rig,
-    log: Log,
+    log: Log | Recording,
     key: PRNGKeyArray | None = None,
     engine: Engine = "auto",
 ) -> tuple[Estimates, Any]:
@@ -56,12 +83,12 @@ def estimate_with_history(
         ContractError: the filter carries neither a Gaussian nor an ensemble, or the engine
             asked for cannot run this.
     """
-    filter, rig, log = as_arrays((filter, rig, log))
+    filter, rig, events = as_arrays((filter, rig, events_of(log)))
     require_smoothable(filter)
-    native = compiled_pass(filter, rig, log, True, engine)
+    native = compiled_pass(filter, rig, events, True, engine)
     if native is not None:
-        return native.over(filter, rig, log)
-    return scan(filter, rig, log, _key(key), True)
+        return native.over(filter, rig, events)
+    return scan(filter, rig, events, _key(key), True)
 
 
 def compile_estimate(

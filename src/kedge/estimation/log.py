@@ -81,6 +81,10 @@ class Recording(NamedTuple):
     """Exact event times in ns."""
     outputs: Int[np.ndarray, " K"]
     """Indices of the events at which the estimate is asked for."""
+    truth: Truth | None = None
+    """The true trajectory, where the log has one."""
+    notes: tuple[str, ...] = ()
+    """What was left out or changed when it was read."""
 
 
 def assemble(
@@ -131,6 +135,11 @@ def assemble(
     return Recording(
         Log(schedule, at_events, readings), start, stamps, np.flatnonzero(sensor == -2)
     )
+
+
+def events_of(log: Log | Recording) -> Log:
+    """The events, of a recording too."""
+    return log.log if isinstance(log, Recording) else log
 
 
 def without_repeats(source: Stamped) -> Readings:

@@ -93,6 +93,22 @@ class Installation(eqx.Module):
         return state if self.mount is None else seen_from(self.mount, state)
 
 
+class Origin:
+    """The file that a rig was read from. All are equal: none compiles anew."""
+
+    def __init__(self, config: Any = None):
+        self.config = config
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origin)
+
+    def __hash__(self) -> int:
+        return 0
+
+    def __repr__(self) -> str:
+        return "Origin()"
+
+
 class Rig(eqx.Module):
     """One description of a vehicle and its sensors, for studies, logs and live runs.
 
@@ -104,6 +120,8 @@ class Rig(eqx.Module):
     vehicle: AbstractVehicle
     sensors: tuple[Installation, ...]
     prior: Gaussian
+    origin: Origin = eqx.field(static=True, default=Origin(), repr=False)
+    """For :func:`kedge.read_log`: where the columns of a log are said."""
 
     def __check_init__(self):
         names = [sensor.name for sensor in self.sensors]

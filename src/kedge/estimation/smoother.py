@@ -13,16 +13,18 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
 from kedge.estimation.batch import Estimates, estimate_with_history
-from kedge.estimation.log import Log
+from kedge.estimation.log import Log, Recording
 from kedge.estimation.passage import EnsembleHistory, History
 from kedge.estimation.rig import Rig
 from kedge.numerics.linalg import symmetric
 
 
 def smooth(
-    filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray | None = None
+    filter: AbstractFilter, rig: Rig, log: Log | Recording, key: PRNGKeyArray | None = None
 ) -> tuple[Estimates, Estimates]:
     """The filter's estimates and the smoothed ones.
+
+    JAX's transformations go through it, as through :func:`kedge.estimate`.
 
     Raises:
         ContractError: the filter carries neither a Gaussian nor an ensemble.

@@ -1,6 +1,6 @@
 """The pass over a log as a program that JAX traces: what every engine computes."""
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from kedge.core.beliefs import Ensemble, Gaussian, Particles
 from kedge.core.contracts import AbstractFilter
 from kedge.core.verdicts import Verdict
+from kedge.estimation import views
 from kedge.estimation.log import Log
 from kedge.estimation.passage import is_smoothable, passage
 from kedge.estimation.rig import Rig
@@ -20,6 +21,9 @@ from kedge.estimation.step import (
     event_keys,
 )
 
+if TYPE_CHECKING:
+    import pandas
+
 CLOUDS = Ensemble, Particles
 """Beliefs whose moments have to be computed from all their states."""
 
@@ -28,8 +32,30 @@ class Estimates(NamedTuple):
     """What a filter believed after each event, and what became of each reading."""
 
     time: Float[Array, "*T"]
+    """s since the log's start."""
     moments: Gaussian
     outcome: Outcome
+
+    @property
+    def log_likelihood(self) -> Float[Array, "*runs"]:
+        r"""Of all readings that were fused: $\sum_k \log p(z_k \mid z_{1:k-1})$.
+
+        Source: F. Schweppe, "Evaluation of likelihood functions for Gaussian signals", IEEE
+        Transactions on Information Theory 11(1), 1965.
+        """
+        fused = self.outcome.verdict == Verdict.FUSED
+        return jnp.sum(jnp.where(fused, self.outcome.log_likelihood, 0.0), axis=-1)
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """A row for each event: see :func:`kedge.estimation.views.table`."""
+        return views.table(self)
+
+    def plot(self, ax: Any = None, field: str = "") -> Any:
+        """Draw it, and return the axes: see :func:`kedge.estimation.views.plot`."""
+        return views.plot(self, ax, field)
+
+    def _repr_html_(self) -> str:
+        return views.summary(self)
 
 
 def pass_over(

@@ -19,18 +19,38 @@ class Require:
             wanted = "" if expected is None else f"; expected {expected}"
             raise ContractError(f"{self.member} breaks the law '{law}': found {found}{wanted}")
 
-    def small(self, law: str, values: Any, bound: Any) -> None:
-        """No value is beyond its bound, and none is NaN."""
+    def small(self, law: str, values: Any, bound: Any, states: Any = None) -> None:
+        """No value is beyond its bound, and none is NaN.
+
+        ``states`` are those at which the values were found, along their first axis.
+        """
         values, bound = np.broadcast_arrays(np.asarray(values), np.asarray(bound))
         excess = np.where(np.isfinite(values), values - bound, np.inf)
         worst = np.unravel_index(np.argmax(excess), excess.shape)
         holds = bool((excess <= 0).all())
-        self(law, holds, f"{values[worst]:.3g}", f"at most {bound[worst]:.3g}")
+        place = _at(states, int(worst[0])) if worst else ""
+        self(law, holds, f"{values[worst]:.3g}{place}", f"at most {bound[worst]:.3g}")
 
-    def finite(self, law: str, values: Any) -> None:
-        """All values are finite."""
-        bad = np.count_nonzero(~np.isfinite(values))
-        self(law, bool(bad == 0), f"{bad} of {np.size(values)} values that are not", "none")
+    def finite(self, law: str, values: Any, states: Any = None) -> None:
+        """All values are finite; ``states`` as above."""
+        bad = ~np.isfinite(values)
+        place = _at(states, int(np.argwhere(bad)[0][0])) if bad.any() and bad.ndim else ""
+        found = f"{np.count_nonzero(bad)} of {np.size(values)} values that are not{place}"
+        self(law, not bad.any(), found, "none")
+
+
+def _at(states: Any, index: int) -> str:
+    """The state at which a law is broken, and how to say that the vehicle never gets there."""
+    if states is None:
+        return ""
+    fields = states._asdict().items()
+    values = (
+        f"{name}={np.round(np.asarray(leaf)[index], 4).tolist()}" for name, leaf in fields
+    )
+    return (
+        f" at the state {', '.join(values)} (if it cannot get there, say so in the state: "
+        "Annotated[SteeringAngle, Within(-0.6, 0.6)])"
+    )
 
 
 class Tracing(NamedTuple):

@@ -23,6 +23,7 @@ from kedge.testing.spaces import (
     origin_of,
     require_layout,
     slope_gap,
+    states_about,
     tangents,
 )
 
@@ -66,7 +67,7 @@ def check_sensor(sensor: str | type | AbstractSensor) -> None:
 
     def figures(key: PRNGKeyArray) -> dict[str, Array]:
         some, other = jr.split(key)
-        points = jax.vmap(reads.boxplus, (None, 0))(origin, 3 * tangents(reads, some))
+        points = states_about(reads, origin, 3 * tangents(reads, some))
         errors = tangents(outputs, other, seam=True)
         at = jnp.arange(POINTS) % (targets or 1)
         return jax.vmap(ft.partial(_sensor_figures, model, reads, outputs))(points, errors, at)

@@ -9,7 +9,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.manifolds import Circle, Rotation, Space, space_of
+from kedge.core.manifolds import Circle, Rotation, Space, ranges_of, space_of
 from kedge.testing.laws import Require
 
 POINTS = 16
@@ -89,6 +89,21 @@ def tangents(found: Space, key: PRNGKeyArray, seam: bool = False) -> Float[Array
             piece = axis * jnp.where(at_seam, near[:, None], length)
         parts.append(piece)
     return jnp.concatenate([jnp.zeros((POINTS, 0)), *parts], axis=1)
+
+
+MIDDLE = 0.8
+"""Share of a field's range in which states are tried: a step must not cross its ends."""
+
+
+def states_about(found: Space, base: Any, deltas: Float[Array, "k n"]) -> Any:
+    """States at tangent vectors from ``base``; where a field has a range, inside that."""
+    points = jax.vmap(found.boxplus, (None, 0))(base, deltas)
+    inside = {}
+    for name, limits in ranges_of(found.cls).items():
+        share = jax.nn.sigmoid(getattr(points, name)) - 0.5
+        middle, length = (limits.low + limits.high) / 2, limits.high - limits.low
+        inside[name] = middle + MIDDLE * length * share
+    return points._replace(**inside)
 
 
 def slope_gap(

@@ -16,7 +16,16 @@ from kedge.core.quantities import Scalar
 from kedge.numerics.noise import process_std
 from kedge.testing.compiling import quick_jit
 from kedge.testing.laws import Tracing, member
-from kedge.testing.spaces import POINTS, charted, layout, origin_of, row, slope_gap, tangents
+from kedge.testing.spaces import (
+    POINTS,
+    charted,
+    layout,
+    origin_of,
+    row,
+    slope_gap,
+    states_about,
+    tangents,
+)
 
 SUBSTEPS = 16
 SPAN = 60.0  # s
@@ -53,21 +62,21 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
         expected=layout(state),
     )
 
-    def figures(key: PRNGKeyArray) -> dict[str, Array]:
+    def figures(key: PRNGKeyArray) -> dict[str, Any]:
         some, other = jr.split(key)
-        points = jax.vmap(states.boxplus, (None, 0))(state, tangents(states, some))
+        points = states_about(states, state, tangents(states, some))
         errors = tangents(states, other, seam=True)
         still = origin_of(controls)
         law = ft.partial(_vehicle_figures, model, still, dt)
         return jax.vmap(law)(points, errors, jnp.linspace(0.0, SPAN, POINTS)) | {
-            "drive": _driven(model)
+            "drive": _driven(model),
+            "points": points,
         }
 
     with Tracing(require, "step can be differentiated and mapped over states"):
-        found = {
-            name: np.asarray(value) for name, value in quick_jit(figures)(jr.key(1)).items()
-        }
+        found = jax.tree.map(np.asarray, quick_jit(figures)(jr.key(1)))
 
+    points = found["points"]
     size = 1e-9 * (1 + found["size"].max())
     require.small(
         "boxminus undoes boxplus, also near half a turn", found["minus of plus"], size
@@ -75,20 +84,24 @@ def check_vehicle(vehicle: str | type | AbstractVehicle, dt: float = 0.1) -> Non
     require.small(
         "boxplus undoes boxminus, also near half a turn", found["plus of minus"], size
     )
-    require.small("a step of 0 s changes nothing", found["no time"], 1e-12 * (1 + size))
+    require.small("a step of 0 s changes nothing", found["no time"], 1e-12 * (1 + size), points)
     require.small(
         "two half steps are one step to third order: halving the step leaves 1/6 of the gap",
         found["gap of half the step"],
         found["gap"] / 6 + 1e-12 * (1 + found["size"]),
+        points,
     )
     require.small(
         "noise has one variance however time is cut into steps: it acts for dt, is drawn with "
         f"std density / sqrt(dt); within a quarter in {SUBSTEPS // 2} and {SUBSTEPS} steps",
         found["noise"],
         1e-300,
+        points,
     )
-    require.finite("the Jacobians are finite, also at rest", found["jacobian"])
-    require.small("the Jacobians are those of central differences", found["slope"], 1e-6)
+    require.finite("the Jacobians are finite, also at rest", found["jacobian"], points)
+    require.small(
+        "the Jacobians are those of central differences", found["slope"], 1e-6, points
+    )
     require.finite(f"what nominal_control() does stays finite for {SPAN:g} s", found["drive"])
 
 
