@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 
@@ -111,6 +112,20 @@ def test_a_target_that_is_not_on_the_map_is_a_verdict(site, kedge):
     assert counts["NOT_FINITE"] == 1
 
 
+def test_a_cloud_that_collapsed_is_warned_of(site, kedge):
+    code, out, err = kedge(
+        "estimate", site / "rig.toml", site / "log", "--filter", "particle:count=2", "--out",
+        site / "out", "--no-report", "--json", "--require", "no warnings",
+    )  # fmt: skip
+    assert code == 3, err
+    summary = json.loads(out)
+    assert summary["filters"]["particle:count=2"]["nees"] is None
+    assert summary["filters"]["particle:count=2"]["singular"] > 0.5
+    text = "particle:count=2: no NEES: the covariance is singular in"
+    assert summary["warnings"][0].startswith(text)
+    assert f"kedge: warning: {text}" in err
+
+
 def test_compare_puts_filters_side_by_side(site, kedge):
     names = "dead-reckoning,extended,unscented,ensemble:count=60,extended+smoother"
     code, out, err = kedge(
@@ -126,6 +141,59 @@ def test_compare_puts_filters_side_by_side(site, kedge):
     assert "ensemble:count=60" in out
     with (site / "out" / "table.csv").open() as file:
         assert [row["filter"] for row in csv.DictReader(file)] == names.split(",")
+
+
+def test_without_truth_the_console_says_what_the_filter_believes(site, kedge):
+    code, out, err = kedge(
+        "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--truth", "none",
+        "--set", "prior.from_truth=[]", "--set", "prior.mean={}", "--no-report",
+    )  # fmt: skip
+    assert code == 0, err
+    scores = json.loads((site / "out" / "summary.json").read_text())["filters"]["extended"]
+    with (site / "out" / "estimate.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    variance = [
+        float(row["position_x_std"]) ** 2 + float(row["position_y_std"]) ** 2 for row in rows
+    ]
+    position = float(np.median(np.sqrt(variance)))
+    heading = float(np.median([float(row["heading_std"]) for row in rows]))
+    assert scores["std"] == pytest.approx({"position": position, "heading": heading})
+    head, values = (line.split() for line in out.splitlines()[:2])
+    assert head[:4] == ["filter", "position", "1-sigma", "m"]
+    assert values[1:3] == [f"{position:.3g}", f"{np.degrees(heading):.3g}"]
+    camera = scores["sensors"]["camera"]
+    row = next(line.split() for line in out.splitlines() if "camera" in line)
+    share = f"{camera['fused']:.1%}"
+    assert row[:4] == ["extended", "camera", "40", share]
+    assert row[4:6] == [f"{camera['nis']:.3g}", "2"]
+
+
+def test_a_sensor_that_is_hardly_used_is_told_with_the_reasons(site, kedge):
+    camera = site / "log" / "camera.csv"
+    lines = camera.read_text().splitlines()
+    # Every second reading is of a post that the map does not know.
+    strange = [text.replace(",b,", ",pillar,") for text in lines]
+    camera.write_text("\n".join(strange) + "\n")
+    options = (
+        "compare", site / "rig.toml", site / "log", "--out", site / "out", "--no-report",
+        "--filters", "dead-reckoning,extended", "--json", "--require",
+    )  # fmt: skip
+    code, out, err = kedge(*options, "camera.fused>=0.9")
+    assert code == 3
+    assert "extended.sensors.camera.fused is 0." in err
+    summary = json.loads(out)
+    counts = summary["verdicts"]["extended"]["camera"]
+    fused = summary["filters"]["extended"]["sensors"]["camera"]["fused"]
+    assert fused == counts["FUSED"] / 40 <= 0.5
+    assert counts["UNKNOWN_TARGET"] == 20
+    text = next(text for text in summary["warnings"] if "camera" in text)
+    assert text.startswith(f"extended: only {100 * fused:.0f} % of the 40 readings of camera")
+    assert "20 unknown target" in text
+    assert text in err
+    code, _, err = kedge(*options, "camera.fused>=0.1")
+    assert code == 0, err
+    code, _, err = kedge(*options, "camra.fused>=0.1")
+    assert code == 2
 
 
 def test_truth_none_scores_nothing(site, kedge):

@@ -142,6 +142,35 @@ def test_an_unknown_scenario_is_told_the_nearest(kedge, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_cloud_that_collapsed_is_the_loudest_of_warnings(buoy, kedge, tmp_path):
+    """Three particles span no four components: there is no NEES, which is no good news."""
+    options = ["--filters", "kalman,particle:count=3", "--out", tmp_path / "out"]
+    code, out, err = kedge("study", buoy, *options)
+    assert code == 0, err
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    collapsed = summary["filters"]["particle:count=3"]
+    assert (collapsed["nees"], collapsed["failed"]) == (None, 0)
+    assert collapsed["singular"] > 0.5  # the others have an inverse by rounding alone
+    assert summary["filters"]["kalman"]["singular"] == 0.0
+    share = f"{100 * collapsed['singular']:.0f} %"
+    text = f"particle:count=3: no NEES: the covariance is singular in {share} of the steps."
+    assert summary["warnings"][0] == text
+    assert f"kedge: warning: {text}" in err
+    assert "singular" in out
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert text in page.replace("\u00a0", " ")
+    code, _, err = kedge("study", buoy, *options[:2], "--require", "no warnings")
+    assert code == 3
+    assert "warnings is " in err
+
+
+def test_a_study_without_a_warning_can_be_required(buoy, kedge):
+    options = ["--filters", "kalman", "--runs", "40", "--require", "no warnings"]
+    code, _, err = kedge("study", buoy, *options)
+    assert code == 0, err
+    assert "warning" not in err
+
+
 def test_every_score_it_leaves_can_be_required(buoy):
     setting = load_scenario(str(buoy), {})
     study = Study(setting.scenario, burn_in=1.0)

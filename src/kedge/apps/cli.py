@@ -87,7 +87,7 @@ def estimate(
     problem = load(rig, log, truth, until, set_)
     name = filter or problem.filter
     names = [name, f"{name}+smoother"] if smooth else [name]
-    check_requirements(conditions, names)
+    check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
     summary = execute(problem, names, out, "estimate", seed, report)
     finish(summary, out, conditions, as_json)
 
@@ -113,8 +113,8 @@ def compare(
     from kedge.config.filters import split_names
 
     conditions, names = parse_requirements(require_ or []), split_names(filters)
-    check_requirements(conditions, names)
     problem = load(rig, log, truth, until, set_)
+    check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
     summary = execute(problem, names, out, "compare", seed, report)
     finish(summary, out, conditions, as_json)
 
@@ -258,7 +258,7 @@ def tune(
     else:
         print_tuned(summary)
         print(f"\nresults: {out / 'tuned.toml'}")
-    require(summary["scores"], conditions)
+    require(summary["scores"], conditions, summary["warnings"])
 
 
 @app.command()

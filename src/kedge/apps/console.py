@@ -83,6 +83,34 @@ def print_filters(filters: Mapping[str, Mapping[str, Any]]) -> None:
         table.add_row(name, *(show(scores) for show in columns.values()))
     # A pipe has no width; a table squeezed into 80 columns would lose its numbers.
     Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
+    if not any("rmse" in scores for scores in filters.values()):
+        print()
+        print_sensors(filters)
+
+
+def print_sensors(filters: Mapping[str, Mapping[str, Any]]) -> None:
+    """The table of sensors by filter: what was used of each, and whether NIS is right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from kedge.reports.findings import refusals
+    from kedge.reports.style import is_baseline, is_smoother
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for title in ("filter", "sensor"):
+        table.add_column(title)
+    for title in ("readings", "fused", "NIS", "right is"):
+        table.add_column(title, justify="right")
+    table.add_column("refused")
+    for name, scores in filters.items():
+        if is_baseline(name) or is_smoother(name):
+            continue
+        for sensor, entry in scores["sensors"].items():
+            nis = [f"{entry[key]:.3g}" for key in ("nis", "nis_dof") if key in entry]
+            used = f"{entry['fused']:.1%}" if "fused" in entry else "-"
+            refused = refusals(entry["verdicts"])
+            table.add_row(name, sensor, str(entry["readings"]), used, *(nis or "--"), refused)
+    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
 
 
 def _columns(filters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[Any], str]]:
@@ -98,7 +126,12 @@ def _columns(filters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[An
         ends = scores.get("rmse_ci", {}).get("position")
         return f"[{ends[0]:.2g}, {ends[1]:.2g}]" if ends else "-"
 
-    known = {
+    judged = any("rmse" in row for row in filters.values())
+    believed = {} if judged else {
+        "position 1-sigma m": pick("std", "position"),
+        "heading 1-sigma deg": pick("std", "heading", scale=57.29577951308232),
+    }  # fmt: skip
+    known = believed | {
         "position m": pick("rmse", "position"),
         "95 % interval": interval,
         "in plan m": pick("rmse", "horizontal"),
@@ -124,22 +157,28 @@ def _final(scores: Mapping[str, Any]) -> str:
     return f"{scores['final_error'] / driven:.2%} of path" if driven else "-"
 
 
+WARNINGS = "warnings"
+"""What is required of their number."""
 REQUIREMENT = re.compile(r"^(\S+?)\s*(<=|>=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)$")
 
 
 def parse_requirements(conditions: Sequence[str]) -> list[tuple[str, str, float]]:
     """Conditions such as ``extended.rmse.position<=0.25`` as name, relation and bound.
 
+    ``camera.fused>=0.9`` is on a sensor, of every filter but dead reckoning; ``no warnings``
+    is ``warnings<=0``: the length of the summary's list.
+
     Raises:
         ConfigError: a condition cannot be understood.
     """
     found = []
     for condition in conditions:
-        parts = REQUIREMENT.match(condition)
+        plain = "warnings<=0" if condition.strip() == "no warnings" else condition
+        parts = REQUIREMENT.match(plain)
         if parts is None:
             raise ConfigError(
                 f"--require {condition!r}: expected SCORE<=NUMBER or SCORE>=NUMBER, "
-                "e.g. extended.rmse.position<=0.25"
+                "e.g. extended.rmse.position<=0.25, or 'no warnings'"
             )
         name, relation, text = parts.groups()
         found.append((name, relation, float(text)))
@@ -150,13 +189,17 @@ def check_requirements(
     conditions: Conditions,
     filters: Sequence[str],
     scores: Sequence[str] | None = None,
+    sensors: Sequence[str] = (),
 ) -> None:
     """Refuse what cannot be required, before anything runs.
 
     Raises:
-        ConfigError: a condition is on a filter that is not to run, or there is no such score.
+        ConfigError: a condition is on what is no filter of this run and no sensor, or there is
+            no such score.
     """
     for name, *_ in conditions:
+        if name == WARNINGS or name.partition(".")[0] in sensors:
+            continue
         if not any(name.startswith(f"{filter}.") for filter in filters):
             given = name if "." not in name else name[: name.index(".")]
             raise ConfigError(
@@ -166,22 +209,35 @@ def check_requirements(
             raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
 
 
-def require(filters: Mapping[str, Any], conditions: Conditions) -> None:
-    """Check conditions against the scores.
+def require(
+    filters: Mapping[str, Any], conditions: Conditions, warnings: Sequence[str] = ()
+) -> None:
+    """Check conditions against the scores, and against the number of warnings.
 
     Raises:
         ConfigError: there is no such score.
         ThresholdMissed: a condition does not hold.
     """
     from kedge.formats.results import flatten
+    from kedge.reports.style import is_baseline
 
     scores = {k: v for k, v in flatten(filters) if isinstance(v, (int, float))}
+    scores[WARNINGS] = len(warnings)
     for name, relation, bound in conditions:
-        if name not in scores:
+        if name in scores:
+            names = [name]
+        else:  # SENSOR.SCORE: of every filter that takes readings in
+            names = [
+                key
+                for filter in filters
+                if not is_baseline(filter) and (key := f"{filter}.sensors.{name}") in scores
+            ]
+        if not names:
             raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
-        value = float(scores[name])
-        if not (value <= bound if relation == "<=" else value >= bound):
-            raise ThresholdMissed(f"{name} is {value:.6g}, required {relation} {bound:g}")
+        for name in names:
+            value = float(scores[name])
+            if not (value <= bound if relation == "<=" else value >= bound):
+                raise ThresholdMissed(f"{name} is {value:.6g}, required {relation} {bound:g}")
 
 
 def finish(
@@ -191,7 +247,7 @@ def finish(
     as_json: bool,
     show: Callable[[dict[str, Any]], None] = lambda summary: print_filters(summary["filters"]),
 ) -> None:
-    """Print what a command found and where it is; then see that it is good enough.
+    """Print what a command computed, where it is, and its warnings; then what is required.
 
     Raises:
         ThresholdMissed: a condition does not hold.
@@ -202,5 +258,7 @@ def finish(
         show(summary)
         if out is not None:
             shown = "report.html" if (out / "report.html").exists() else "summary.json"
-            print(f"\nresults: {out / shown}")
-    require(summary["filters"], conditions)
+            print(f"\nresults: {out / shown}", flush=True)
+    for text in summary["warnings"]:
+        print(f"kedge: warning: {text}", file=sys.stderr)
+    require(summary["filters"], conditions, summary["warnings"])

@@ -87,6 +87,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
             "window": options.window,
             "filters": scores,
             "notes": list(problem.notes),
+            "warnings": [],
             "configuration": problem.config,
             "digest": {
                 "inputs": problem.inputs_digest,

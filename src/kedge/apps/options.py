@@ -27,7 +27,9 @@ SetScenario = Annotated[
 Require = Annotated[
     list[str] | None,
     typer.Option(
-        "--require", help="Exit with 3 unless it holds, e.g. 'extended.rmse.position<=0.25'."
+        "--require",
+        help="Exit with 3 unless it holds, e.g. 'extended.rmse.position<=0.25', "
+        "'camera.fused>=0.9', 'no warnings'.",
     ),
 ]
 

@@ -14,6 +14,8 @@ from kedge import __version__
 from kedge.config.scenarios import Setting
 from kedge.estimation.compiled import compiler
 from kedge.formats.results import as_toml, digest, flatten, plain, write_summary, write_table
+from kedge.reports import study_findings as findings
+from kedge.reports.findings import said
 from kedge.reports.study_report import StudyContent
 from kedge.studies.claims import (
     FALSE,
@@ -82,8 +84,9 @@ def summary_of(
         if plan.windows:
             filters[name]["windows"] = windows(study, plan, result)
     configuration = setting.config.model_dump(mode="json", exclude_none=True)
+    # Without the last, which follows from what is not in it: digests outlive a new score.
     scores = [
-        digest(name, *map(np.asarray, (*result.runs, *result.whole)))
+        digest(name, *map(np.asarray, (*result.runs[:-1], *result.whole[:-1])))
         for name, result in results.items()
     ]
     parts = {"configuration": digest(configuration), "result": digest(*scores)}
@@ -103,7 +106,8 @@ def summary_of(
         "configuration": configuration,
         "digest": {**parts, "all": digest(parts)},
     }
-    return plain(found)
+    summary = plain(found)
+    return summary | {"warnings": said(findings.warnings(summary))}
 
 
 def score_names(setting: Setting, study: Study, filters: Sequence[str]) -> list[str]:
@@ -147,7 +151,7 @@ def print_study(summary: Mapping[str, Any]) -> None:
     published = any(row.get("published") for row in rows.values())
     failed = any(row["failed"] for row in rows.values())
     dof = next(iter(rows.values()))["nees_dof"]
-    known = any(row["nees"] is not None for row in rows.values())
+    known = any(row["singular"] is not None for row in rows.values())
     base, several = next(iter(rows.values()))["baseline"], len(rows) > 1
     titles = [score["of"], "95 % interval"] + ["published"] * published
     against = base if len(base) < 16 else "the first"
@@ -161,7 +165,8 @@ def print_study(summary: Mapping[str, Any]) -> None:
         cells += [_shown((row.get("published") or {}).get("rmse"))] * published
         ratio = [_shown(row["ratio_to_baseline"]), _between(row["ratio_to_baseline_ci"])]
         cells += (["-", "-"] if name == base else ratio) * several
-        cells += [_shown(row["nees"]), _covered(row)] * known
+        nees = "singular" if (row["singular"] or 0.0) > 0 else _shown(row["nees"])
+        cells += [nees, _covered(row)] * known
         cells += [str(row["failed"])] * failed + [_shown(row["seconds_per_run"], ".2g")]
         table.add_row(name, *cells)
     console = Console(width=None if sys.stdout.isatty() else 180, highlight=False)

@@ -22,11 +22,10 @@ from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.compiled import compiler
 from kedge.estimation.smoother import compile_smoother
-from kedge.evaluation.health import concerns
 from kedge.evaluation.score import Run, in_the_map, score
 from kedge.formats.atomic import fresh_folder
 from kedge.formats.results import as_toml, digest, plain
-from kedge.reports.findings import principal
+from kedge.reports.findings import principal, said, warnings
 from kedge.reports.report import ReportContent, write_report
 
 SMOOTHER = "+smoother"
@@ -125,10 +124,6 @@ def run_filters(
         events = len(problem.recording.stamps)
         run.scores.update(seconds=seconds, microseconds_per_event=seconds / events * 1e6)
         runs.append(run)
-        if not name.endswith(SMOOTHER):
-            verdicts = np.asarray(estimates.outcome.verdict)
-            for concern in concerns(name, run.scores["health"], verdicts):
-                progress(concern)
     _against_baseline(runs)
     return runs
 
@@ -150,6 +145,7 @@ def summarise(problem: Problem, runs: Sequence[Run], facts: dict[str, Any]) -> d
         "events": len(problem.recording.stamps),
         "duration": float(problem.recording.log.schedule.time[-1]),
         "notes": list(problem.notes),
+        "warnings": said(warnings(runs, problem.recording, problem.rig)),
         "configuration": problem.config,
         "digest": {**parts, "all": digest(parts)},
     }

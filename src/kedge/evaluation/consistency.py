@@ -73,6 +73,11 @@ def nees(error: Errors, cov: Covariances) -> Float[Array, "*batch"]:
     return jnp.sum(white[..., 0] ** 2, axis=-1)
 
 
+def singular(cov: Covariances) -> float:
+    """The share of covariances that are not positive definite, so that there is no NEES."""
+    return float(jnp.mean(jnp.isnan(nees(jnp.zeros(jnp.shape(cov)[:-1]), cov))))
+
+
 def nis(
     residual: Float[Array | np.ndarray, "*batch m"],
     cov: Float[Array | np.ndarray, "*batch m m"],

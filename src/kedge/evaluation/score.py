@@ -18,7 +18,7 @@ from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.by_target import target_scores
-from kedge.evaluation.consistency import coverage, mean_interval, nees, whiteness
+from kedge.evaluation.consistency import coverage, mean_interval, nees, singular, whiteness
 from kedge.evaluation.health import health
 from kedge.evaluation.silences import silences
 from kedge.evaluation.trajectory import (
@@ -157,13 +157,16 @@ def score(
     scores: dict[str, Any] = {
         "sensors": _sensor_scores(estimates, recording, rig, targets or {}),
         "health": health(estimates),
+        "std": _deviations(track),
     }
     if silent := silences(estimates, recording, rig):
         scores["health"]["silences"] = silent
     if beyond := clipped(recording, rig.vehicle):
         scores["health"]["clipped_controls"] = beyond
     errors = None
-    if truth is not None:
+    if truth is None:
+        scores["singular"] = singular(track.cov)
+    else:
         truth = in_the_map(truth, track)
         errors = errors_of(track, truth)
         scores |= _accuracy(errors)
@@ -233,6 +236,7 @@ def _accuracy(errors: Errors) -> dict[str, Any]:
         "nees": float(whole.mean()),
         "nees_dof": errors.error.shape[1],
         "nees_by_field": mean_nees,
+        "singular": singular(errors.cov[there]),
         "coverage_95": share,
         "samples": int(there.sum()),
     }
@@ -292,6 +296,21 @@ def _add_spatial(scores: dict[str, Any], track: Track, truth: Truth, errors: Err
         scores["rmse"][name], scores["rmse_ci"][name] = _root_mean(values)
 
 
+def _deviations(track: Track) -> dict[str, float]:
+    """How well each field is believed to be known: the median over time of its 1-sigma.
+
+    Of a vector it is the root of the sum of variances; an attitude has the heading's beside it.
+    """
+    states, std = space_of(type(track.mean)), {}
+    for name, cut in states.slices().items():
+        variances = np.trace(track.cov[:, cut, cut], axis1=1, axis2=2)
+        std[name] = float(np.median(np.sqrt(variances)))
+    if (cut := states.slices().get("attitude")) is not None:
+        angles = angles_of(track.mean.attitude, track.cov[:, cut, cut])
+        std["heading"] = float(np.median(angles.std[0]))
+    return std
+
+
 def _sensor_scores(
     estimates: Estimates, recording: Recording, rig: Rig, names: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Any]:
@@ -308,6 +327,8 @@ def _sensor_scores(
             "readings": len(mine),
             "verdicts": dict(sorted(verdicts.items())),
         }
+        if len(mine):
+            entry["fused"] = len(fused) / len(mine)
         if len(fused):
             entry["nis"] = float(outcome.nis[fused].mean())
             entry["nis_dof"] = float(outcome.dof[fused].mean())

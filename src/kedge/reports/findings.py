@@ -1,13 +1,14 @@
 """What a report says in words: the headline, the facts below it, and its warnings."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from kedge.core.manifolds import space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Recording
-from kedge.estimation.rig import Rig
+from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.by_target import targets_off
 from kedge.evaluation.health import concerns
 from kedge.evaluation.score import Run
@@ -17,6 +18,9 @@ from kedge.reports.figures import main_field, rivals
 
 # Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
 HONEST, CAUTIOUS = 0.85, 0.99
+USED = 0.9
+"""Share of a sensor's readings; where fewer are fused, it is said why."""
+BROKEN = Verdict.UNKNOWN_TARGET, Verdict.NOT_FINITE, Verdict.BAD_COVARIANCE
 NAMED = 5  # targets that are off; more are in the table
 
 
@@ -77,7 +81,7 @@ def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
 
 def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     """What a reader should know before trusting the numbers."""
-    found = []
+    found = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores["singular"])]
     judged = [run for run in rivals(runs) if run.errors is not None]
     for word, wrong in (
         ("Over-confident", lambda share: share < HONEST),
@@ -103,22 +107,63 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
             f"{symbol} in {style.words(off.component)} (median of its residuals, "
             f"{style.number(off.standardised, 2)} of what it may scatter by)."
         )
-    for installation in rig.sensors:
-        entry = run.scores["sensors"].get(installation.name, {})
-        counts, judged = entry.get("verdicts", {}), entry.get("readings", 0)
-        alarms, gate = counts.get(Verdict.GATED.name, 0), installation.gate
-        if gate is not None and judged and alarms / judged > max(5 * gate, 0.02):
-            found.append(
-                f"The gate of {installation.name} refused {style.percent(alarms / judged)} of "
-                f"the readings, {style.percent(gate)} is what it is set to."
-            )
-        for verdict in (Verdict.UNKNOWN_TARGET, Verdict.NOT_FINITE, Verdict.BAD_COVARIANCE):
-            if number := counts.get(verdict.name, 0):
-                found.append(
-                    f"{installation.name}: {style.count(number)} of {style.count(judged)} "
-                    f"readings were not used ({style.words(verdict.name.lower())})."
-                )
-    return found
+    online = [run for run in rivals(runs) if not style.is_smoother(run.name)] or [run]
+    return found + [
+        text
+        for run in online
+        for installation in rig.sensors
+        for text in _used(run, installation)
+    ]
+
+
+def _used(run: Run, installation: Installation) -> list[str]:
+    """How much of a sensor's readings went into the estimate, where that is a surprise."""
+    entry, gate = run.scores["sensors"][installation.name], installation.gate
+    counts, readings, sensor = entry["verdicts"], entry["readings"], installation.name
+    if not readings:
+        return [f"{run.name}: {sensor} has no readings in this log."]
+    if entry["fused"] < USED:
+        number = counts.get(Verdict.FUSED.name, 0)
+        used = f"only {style.percent(entry['fused'])} of" if number else "none of"
+        return [
+            f"{run.name}: {used} the {style.count(readings)} readings of {sensor} were used: "
+            f"{refusals(counts)}."
+        ]
+    texts = []
+    alarms = counts.get(Verdict.GATED.name, 0) / readings
+    if gate is not None and alarms > max(5 * gate, 0.02):
+        texts.append(
+            f"{run.name}: the gate of {sensor} refused {style.percent(alarms)} of the "
+            f"readings, {style.percent(gate)} is what it is set to."
+        )
+    broken = {v.name: n for v in BROKEN if (n := counts.get(v.name, 0))}
+    if broken:
+        number = style.count(sum(broken.values()))
+        texts.append(
+            f"{run.name}: {number} of {style.count(readings)} readings of {sensor} were not "
+            f"used: {refusals(broken)}."
+        )
+    return texts
+
+
+def refusals(verdicts: Mapping[str, int]) -> str:
+    """How many readings were not used, by reason: "12 gated, 3 unknown target"."""
+    return ", ".join(
+        f"{style.count(number)} {style.words(name.lower())}"
+        for name, number in sorted(verdicts.items(), key=lambda item: -item[1])
+        if name != Verdict.FUSED.name
+    )
+
+
+def no_nees(name: str, singular: float) -> str:
+    """That nothing is known of a filter's honesty, and why."""
+    share = style.percent(singular)
+    return f"{name}: no NEES: the covariance is singular in {share} of the steps."
+
+
+def said(warnings: Sequence[str]) -> list[str]:
+    """Warnings for a console or a file: with the spaces of a keyboard."""
+    return [re.sub("[\u00a0\u202f]", " ", text) for text in warnings]
 
 
 def units_of(rig: Rig) -> dict[str, dict[str, str]]:
@@ -180,6 +225,5 @@ def _spread(run: Run) -> str:
     name = "position" if "position" in states.slices() else next(iter(states.slices()))
     cut = states.slices()[name]
     factor, unit = style.shown(states.units[cut.start])
-    std = np.sqrt(np.trace(run.track.cov[:, cut, cut], axis1=1, axis2=2))
-    middle = style.number(factor * float(np.median(std)), 2)
+    middle = style.number(factor * run.scores["std"][name], 2)
     return f"{style.words(name)} known to {middle}\u00a0{unit} (median standard deviation)"

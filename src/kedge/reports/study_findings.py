@@ -5,7 +5,7 @@ from typing import Any
 
 from kedge.core.manifolds import Space
 from kedge.reports import style
-from kedge.reports.findings import HONEST
+from kedge.reports.findings import HONEST, no_nees
 from kedge.reports.study_tables import measured
 from kedge.studies.claims import FALSE, TRUE
 from kedge.studies.study import Study
@@ -83,6 +83,9 @@ def facts(summary: Mapping[str, Any], study: Study) -> list[tuple[str, str]]:
 def warnings(summary: Mapping[str, Any]) -> list[str]:
     """What a reader should know before trusting the numbers."""
     filters, runs, found = summary["filters"], summary["runs"], []
+    for name, row in filters.items():
+        if (row["singular"] or 0.0) > 0:
+            found.append(no_nees(name, row["singular"]))
     if runs < FEW_RUNS:
         found.append(
             f"{runs} run{'s' * (runs > 1)}: the intervals are wide, and not well known "

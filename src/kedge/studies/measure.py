@@ -186,4 +186,5 @@ def _scores(
         nis=jnp.stack(nis) if nis else jnp.zeros(0),
         nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
         tracked=jnp.mean(judged.tracked, axis=0, where=stepped[:, None]),
+        singular=mean(1.0 * jnp.isnan(judged.nees)) if known else jnp.asarray(jnp.nan),
     )

@@ -33,6 +33,8 @@ class RunScores(NamedTuple):
     """Their mean degrees of freedom; NaN where nothing was fused."""
     tracked: Float[Values, "*runs watches"]
     """Mean squares of what the scenario's world watches, by step."""
+    singular: Float[Values, "*runs"]
+    """Share of times at which the covariance has no inverse, so that there is no NEES."""
 
 
 class TimeSums(NamedTuple):

@@ -115,6 +115,7 @@ def blank(study: Study) -> Result:
         nis=np.zeros((runs, sensors)),
         nis_dof=np.zeros((runs, sensors)),
         tracked=np.zeros((runs, watches)),
+        singular=each,
     )
     times, readings = len(plan.time), len(plan.sensed)
     none = np.zeros(readings)
@@ -288,7 +289,8 @@ def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]
     if names := _watches(study):
         found |= _roots("tracking", {name: tracked[:, i] for i, name in enumerate(names)})
     nees = interval(np.asarray(scores.nees)[good])
-    found |= {"nees": nees.mean, "nees_ci": list(nees[1:])}
+    singular = float(np.mean(np.asarray(scores.singular)[good])) if good.any() else math.nan
+    found |= {"nees": nees.mean, "nees_ci": list(nees[1:]), "singular": singular}
     by_sensor: dict[str, dict[str, Any]] = {"nis": {}, "nis_ci": {}, "nis_dof": {}}
     for number, installation in enumerate(study.scenario.rig.sensors):
         values = np.asarray(scores.nis)[good][:, number]
