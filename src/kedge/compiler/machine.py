@@ -48,11 +48,12 @@ def _machine() -> Any:
 
 
 def key_of(text: str) -> str:
-    """What the machine code hangs on: the text, the compiler, the processor."""
+    """What an entry hangs on: the text, the compiler, the processor, the form of entries."""
     import llvmlite
 
     llvm = _target()
     parts = (
+        cache.MARK.decode(),
         text,
         llvmlite.__version__,
         str(llvm.llvm_version_info),
