@@ -8,10 +8,8 @@ errors inside the 95 % bound, for dead reckoning, the extended filter and its sm
 
 import argparse
 
-from kedge.apps.workflow import run_filters
-from kedge.config.problem import load_problem
+from kedge import load_problem, run_filters, use_compilation_cache
 from kedge.datasets.fetch import require_located
-from kedge.estimation.compilation_cache import use_compilation_cache
 
 NAMES = ("dead-reckoning", "extended", "extended+smoother")
 

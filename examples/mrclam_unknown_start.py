@@ -10,10 +10,8 @@ import math
 
 import numpy as np
 
-from kedge.apps.workflow import run_filters
-from kedge.config.problem import load_problem
+from kedge import load_problem, run_filters, use_compilation_cache
 from kedge.datasets.fetch import require_located
-from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.evaluation.score import Errors
 
 NAMES = ("particle:count=1000", "particle:count=5000", "extended", "unscented")

@@ -15,10 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from hanyang_errors import read_static
 
-from kedge.apps.workflow import run_filters
+from kedge import Problem, load_problem, run_filters, use_compilation_cache
 from kedge.calibration.power_bias import PowerBias, fit_power_bias
-from kedge.config.problem import Problem, load_problem
-from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.formats.tables import read_cells
 
 RUNS = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for case in (1, 2)]

@@ -16,10 +16,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from kedge.apps.workflow import run_filters
-from kedge.config.problem import Problem, load_problem
+from kedge import Problem, load_problem, run_filters, use_compilation_cache
 from kedge.core.errors import DataError
-from kedge.estimation.compilation_cache import use_compilation_cache
 
 HANYANG = "hanyang_uwb/Dynamic_measurements"
 SETS = {

@@ -5,6 +5,15 @@ from kedge import sensors as sensors
 from kedge import simulation as simulation
 from kedge import testing as testing
 from kedge import vehicles as vehicles
+from kedge.apps.library import StudyResults as StudyResults
+from kedge.apps.library import study as study
+from kedge.apps.library import tune as tune
+from kedge.apps.workflow import run_filters as run_filters
+from kedge.config.loading import load as load
+from kedge.config.loading import load_rig as load_rig
+from kedge.config.loading import read_log as read_log
+from kedge.config.problem import Problem as Problem
+from kedge.config.problem import load_problem as load_problem
 from kedge.core.beliefs import Gaussian as Gaussian
 from kedge.core.contracts import AbstractFilter as AbstractFilter
 from kedge.core.contracts import AbstractMeasurementModel as AbstractMeasurementModel
@@ -17,12 +26,14 @@ from kedge.core.errors import DataError as DataError
 from kedge.core.errors import KedgeError as KedgeError
 from kedge.core.errors import UnknownName as UnknownName
 from kedge.core.manifolds import space as space
+from kedge.core.quantities import Within as Within
 from kedge.core.registry import make_filter as make_filter
 from kedge.core.registry import make_sensor as make_sensor
 from kedge.core.registry import make_vehicle as make_vehicle
 from kedge.core.verdicts import Verdict as Verdict
 from kedge.estimation.batch import Estimates as Estimates
 from kedge.estimation.batch import estimate as estimate
+from kedge.estimation.compilation_cache import use_compilation_cache as use_compilation_cache
 from kedge.estimation.log import Log as Log
 from kedge.estimation.log import Recording as Recording
 from kedge.estimation.log import Truth as Truth
@@ -39,5 +50,7 @@ from kedge.simulation.scenario import Scenario as Scenario
 from kedge.simulation.simulate import Simulation as Simulation
 from kedge.simulation.simulate import record as record
 from kedge.simulation.simulate import simulate as simulate
+from kedge.tuning.tuning import Search as Search
+from kedge.tuning.tuning import Tuned as Tuned
 
 __version__: str

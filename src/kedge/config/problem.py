@@ -27,13 +27,13 @@ from kedge.config.readings import (
 )
 from kedge.config.rigs import RigConfig, load_rig_config
 from kedge.config.standing import with_standing
-from kedge.core.contracts import AbstractVehicle
-from kedge.core.errors import DataError
+from kedge.core.contracts import AbstractSensor, AbstractVehicle
+from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import Chart, charts_of, columns_of, space_of
 from kedge.core.registry import unknown, vehicles
 from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
-from kedge.estimation.rig import Rig, check_step
+from kedge.estimation.rig import Origin, Rig, check_step
 from kedge.formats.logs import RawLog, digest_inputs
 from kedge.formats.readers import read_log
 from kedge.formats.tables import Table, require_finite
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
 
 
 def load_problem(
-    rig: str,
+    rig: str | RigConfig,
     log: str,
     truth: str = "auto",
     until: float | None = None,
@@ -85,7 +85,7 @@ def load_problem(
     prior needs a true pose that comes later. What is before is left out and counted.
 
     Args:
-        rig: a shipped rig's name or a TOML file.
+        rig: a shipped rig's name or a TOML file, or one that is read already.
         log: PATH or PATH#PART.
         truth: "auto" for the log's own, "none", or a source to compare with. The prior's
             ``from_truth`` takes it even if nothing is compared.
@@ -95,7 +95,7 @@ def load_problem(
     Raises:
         KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
     """
-    config = load_rig_config(rig, overrides)
+    config = rig if isinstance(rig, RigConfig) else load_rig_config(rig, overrides)
     build_vehicle(config)  # what does not fit is said before a long file is read
     raw = read_log(log, config.format, config.bag)
     if config.standing is not None:
@@ -148,10 +148,7 @@ def load_problem(
         charts = charts_of(type(vehicle.start()))
         for field in config.prior.from_truth:
             known[field] = _pose_at(poses, field, charts[field], start)
-    prior = build_prior(config, bare, vehicle, known)
-    installed = tuple(build_installation(config, name, plain[name]) for name in plain)
-    built = Rig(vehicle, installed, prior)
-    check_noise(config, built)
+    built = _rig_of(config, bare, vehicle, plain, known)
     recording = assemble(
         start, end, control_stamps, controls, list(stamped.values()), config.output.rate
     )
@@ -175,6 +172,37 @@ def load_problem(
         notes=notes,
         inputs_digest=digest_inputs(raw),
     )
+
+
+def rig_of(config: RigConfig) -> Rig:
+    """A rig as its file alone describes it, without a log.
+
+    Raises:
+        ConfigError: its prior or a map comes from the log.
+        ContractError: vehicle, sensors and prior do not fit together.
+    """
+    if config.prior.from_truth:
+        raise ConfigError(
+            f"{config.origin}: prior.from_truth takes {', '.join(config.prior.from_truth)} "
+            "from the truth of a log: read both together with kedge.load(rig, log)"
+        )
+    bare, vehicle = build_vehicle(config, {})
+    plain = {name: build_sensor(config, name, {}) for name in config.sensors}
+    return _rig_of(config, bare, vehicle, plain, {})
+
+
+def _rig_of(
+    config: RigConfig,
+    bare: AbstractVehicle,
+    vehicle: AbstractVehicle,
+    plain: Mapping[str, AbstractSensor],
+    known: Mapping[str, Any],
+) -> Rig:
+    prior = build_prior(config, bare, vehicle, known)
+    installed = tuple(build_installation(config, name, plain[name]) for name in plain)
+    built = Rig(vehicle, installed, prior, Origin(config))
+    check_noise(config, built)
+    return built
 
 
 def _placed(config: RigConfig, raw: RawLog) -> RigConfig:

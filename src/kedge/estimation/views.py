@@ -27,10 +27,7 @@ def table(estimates: Any) -> "pandas.DataFrame":
         ContractError: the estimates are of many runs.
         KedgeError: pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise KedgeError("to_pandas() needs pandas: pip install 'kedge-nav[studio]'") from error
+    pandas = pandas_module()
     states, means, stds = _arrays(estimates)
     outcome = estimates.outcome
     columns: dict[str, Any] = {}
@@ -120,6 +117,20 @@ def _arrays(
     means = {name: np.asarray(leaf) for name, leaf in mean._asdict().items()}
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
     return space(mean), means, np.sqrt(np.maximum(variances, 0.0))
+
+
+def pandas_module() -> Any:
+    """The module, which comes with the extra "studio".
+
+    Raises:
+        KedgeError: it is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        why = "to_pandas() needs pandas: pip install 'kedge-nav[studio]'"
+        raise KedgeError(why) from error
+    return pandas
 
 
 def _new_axes() -> Any:

@@ -52,10 +52,7 @@ class Job(NamedTuple):
 
     def study(self, setting: Setting) -> Study:
         """How the scenario is scored."""
-        about = setting.config.scenario
-        how = about.burn_in, about.score, about.start, self.seed
-        windows = setting.config.windows
-        return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
+        return study_of(setting, self.seed)
 
     def trials(self, progress: Progress = lambda text: None) -> Trials:
         """Make the study ready to be computed.
@@ -70,6 +67,14 @@ class Job(NamedTuple):
         setting = self.setting()
         filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
         return Trials(self.study(setting), filters, self.runs, self.chunk, progress)
+
+
+def study_of(setting: Setting, seed: int) -> Study:
+    """How a scenario file is scored."""
+    about = setting.config.scenario
+    how = about.burn_in, about.score, about.start, seed
+    windows = setting.config.windows
+    return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
 
 
 def compute(job: Job, number: int) -> dict[str, np.ndarray]:

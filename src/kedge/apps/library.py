@@ -1,0 +1,163 @@
+"""Studies and tuning for programs: what the commands do, by the same code."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kedge.apps.study_output import content_of, summary_of, write_study
+from kedge.config.loading import Settings, Source, as_overrides
+from kedge.config.scenarios import Setting, load_scenario
+from kedge.core.contracts import AbstractFilter
+from kedge.core.errors import DataError
+from kedge.estimation.log import Recording
+from kedge.estimation.rig import Rig
+from kedge.estimation.views import pandas_module
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.formats.atomic import fresh_folder
+from kedge.reports.study_report import write_study_report
+from kedge.studies.engines import study_of
+from kedge.studies.scores import Result, Tally
+from kedge.studies.study import Study, Trials
+from kedge.tuning.tunable import choose
+from kedge.tuning.tuning import Search, Tuned
+from kedge.tuning.tuning import tune as tuned_by
+
+if TYPE_CHECKING:
+    import pandas
+
+Progress = Callable[[str], None]
+
+
+def _quiet(text: str) -> None:
+    del text
+
+
+@dataclasses.dataclass(frozen=True)
+class StudyResults:
+    """What a study found, by filter."""
+
+    setting: Setting
+    study: Study
+    tally: Tally
+    summary: Mapping[str, Any]
+    """As in ``summary.json``: ``kedge config schema summary`` describes it."""
+
+    @property
+    def scores(self) -> Mapping[str, Mapping[str, Any]]:
+        """The scores of each filter, as in ``summary.json``."""
+        return self.summary["filters"]
+
+    @property
+    def results(self) -> Mapping[str, Result]:
+        """By filter, numbers of each run and sums over the runs at each time."""
+        return self.tally.results()
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """A row for each filter: the single numbers among its scores.
+
+        Raises:
+            KedgeError: pandas is not installed.
+        """
+        rows = {
+            name: {key: value for key, value in row.items() if isinstance(value, int | float)}
+            for name, row in self.scores.items()
+        }
+        return pandas_module().DataFrame.from_dict(rows, orient="index").rename_axis("filter")
+
+    def report(self, folder: str | Path) -> Path:
+        """Write summary, tables and report into a folder, like ``--out``; give the page.
+
+        Raises:
+            KedgeError: something else is in the folder, or matplotlib or jinja2 is not
+                installed.
+        """
+        with fresh_folder(Path(folder), "summary.json") as draft:
+            write_study(draft, self.summary, self.results)
+            page = write_study_report(draft, content_of(self.study, self.tally, self.summary))
+        return Path(folder) / page.name
+
+    def _repr_html_(self) -> str:
+        return self.to_pandas().to_html(float_format="{:.4g}".format)
+
+
+def study(
+    scenario: Source,
+    runs: int | None = None,
+    filters: Mapping[str, AbstractFilter | str] | Sequence[str] | None = None,
+    seed: int | None = None,
+    settings: Settings | None = None,
+    chunk: int | None = None,
+    progress: Progress = _quiet,
+) -> StudyResults:
+    """Simulate a scenario many times, and run every filter over each run, in this process.
+
+    The draws of a run hang on the seed, its number and, for filters that draw, the filter's
+    name: with the names of the command line the figures are those of ``kedge study``.
+
+    Args:
+        scenario: a shipped scenario's name or a TOML file.
+        runs: how many; as all that is not given, what the scenario says.
+        filters: by name, each as an object or as it is typed; or the names alone.
+        seed: of all draws.
+        settings: dotted key of the scenario -> value, in place of what its file says.
+        chunk: runs in one batch.
+        progress: is told what is being done.
+
+    Raises:
+        KedgeError: the scenario cannot be used, or a filter cannot run on it.
+    """
+    setting = load_scenario(str(scenario), as_overrides(settings))
+    about = setting.config.scenario
+    chosen = about.filters if filters is None else filters
+    named = dict(chosen) if isinstance(chosen, Mapping) else {name: name for name in chosen}
+    built = {
+        name: about.filter_of(filter) if isinstance(filter, str) else filter
+        for name, filter in named.items()
+    }
+    how = study_of(setting, about.seed if seed is None else seed)
+    count = about.runs if runs is None else runs
+    trials = Trials(how, built, count, about.chunk if chunk is None else chunk, progress)
+    trials.prepare()
+    tally = Tally(list(built))
+    for number in trials.chunks:
+        tally.add(trials.part(number))
+    return StudyResults(setting, how, tally, summary_of(setting, how, tally.results(), count))
+
+
+def tune(
+    rig: Rig,
+    log: Recording,
+    parameters: Sequence[str] | None = None,
+    filter: AbstractFilter | None = None,
+    with_truth: bool = False,
+    until: float = math.inf,
+    search: Search | None = None,
+    progress: Progress = _quiet,
+) -> Tuned:
+    """Find the values under which a log is least surprising; ``.rig(rig)`` has them.
+
+    Args:
+        rig: where the search starts.
+        log: up to ``until`` seconds, it is what is judged.
+        parameters: keys or unique ends of them, ``std`` or ``gnss.parameters.std``; without
+            any, all noise that the rig's behaviour depends on.
+        filter: the extended filter, unless given.
+        with_truth: judge the errors of the estimate, not its innovations.
+        until: the rest of the log is left to judge the result by.
+        search: starts, bounds and seed.
+        progress: is told what is being done.
+
+    Raises:
+        DataError: ``with_truth`` without one, or nothing of the log is left to judge.
+        ConfigError: a parameter is unknown, has no start above 0, or bad bounds.
+        ContractError: the filter has no derivative in its noise.
+    """
+    if with_truth and log.truth is None:
+        raise DataError("tune: with_truth is set, but the log has no truth")
+    truth = log.truth if with_truth else None
+    chosen = choose(rig, parameters)
+    return tuned_by(
+        filter or ExtendedKalman(), rig, log, chosen, truth, until, search, progress
+    )
