@@ -1,13 +1,14 @@
 """What ``kedge list`` shows."""
 
+import sys
 from importlib.resources import files
 from typing import Any
 
 from kedge.core.errors import UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 
 CLASSES = ("vehicles", "sensors", "filters", "worlds", "routes", "faults")
-FAMILIES = (*CLASSES, "rigs", "scenarios", "datasets")
+FAMILIES = (*CLASSES, "rigs", "scenarios", "datasets", "readers")
 
 
 def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
@@ -30,6 +31,10 @@ def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
         found["scenarios"] = _titles("scenarios")
     if "datasets" in chosen:
         found["datasets"] = _datasets()
+    if "readers" in chosen:
+        found["readers"] = {
+            name: {"summary": _first_line(readers.get(name))} for name in readers.names()
+        }
     return {family: found[family] for family in chosen}
 
 
@@ -78,9 +83,12 @@ def _titles(kind: str) -> dict[str, Any]:
 
 
 def _datasets() -> dict[str, Any]:
+    """Recorded sets: those that have a reader of their own, and those that can be fetched."""
     from kedge.datasets.fetch import DATASETS, locate
 
-    found = {}
+    formats = "kedge.formats."
+    own = [n for n in readers.names() if not readers.get(n).__module__.startswith(formats)]
+    found = {name: {"summary": _module_title(readers.get(name))} for name in own}
     for name, entry in DATASETS.items():
         place = locate(name)
         found[name] = {
@@ -89,4 +97,13 @@ def _datasets() -> dict[str, Any]:
             "url": entry.url,
             "cite": entry.cite,
         }
-    return found
+    return dict(sorted(found.items()))
+
+
+def _module_title(reader: Any) -> str:
+    """The first sentence of the file that a reader stands in, which says what was recorded."""
+    return _first_line(sys.modules[reader.__module__])
+
+
+def _first_line(documented: Any) -> str:
+    return (documented.__doc__ or "").strip().partition("\n")[0]

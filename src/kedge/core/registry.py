@@ -1,9 +1,10 @@
-"""Name -> class tables, filled by decorators and found by import.
+"""Tables of classes, and of functions that read logs, by name: filled by decorators.
 
 A module dropped into ``kedge/vehicles``, ``kedge/sensors``, ``kedge/filters``,
-``kedge/positioning`` (whose fix is a filter too) or, for worlds, routes and faults,
-``kedge/simulation``, or into a folder in one of them, is imported on first use, and so is
-every installed entry point of group ``kedge.<family>``. There is no list to edit.
+``kedge/positioning`` (whose fix is a filter too), for worlds, routes and faults into
+``kedge/simulation``, for readers into ``kedge/datasets``, or into a folder in one of them, is
+imported on first use, and so is every installed entry point of group ``kedge.<family>``. There
+is no list to edit.
 """
 
 import dataclasses
@@ -18,6 +19,7 @@ from typing import Any, Generic, TypeVar
 from kedge.core.errors import ContractError, UnknownName
 
 T = TypeVar("T")
+Member = TypeVar("Member", bound=Callable[..., Any])
 
 
 class Registry(Generic[T]):
@@ -25,17 +27,17 @@ class Registry(Generic[T]):
 
     def __init__(self, family: str, *packages: str):
         self.family, self.packages = family, packages or (f"kedge.{family}",)
-        self._members: dict[str, type[T]] = {}
+        self._members: dict[str, Any] = {}
         self._complete = False
 
-    def add(self, name: str) -> Callable[[type], type]:
-        """Class decorator that registers under ``name``.
+    def add(self, name: str) -> Callable[[Member], Member]:
+        """Decorator that registers a class, or a reader's function, under ``name``.
 
         Raises:
-            ContractError: the name is taken by another class.
+            ContractError: the name is taken by another member.
         """
 
-        def register(cls: type) -> type:
+        def register(cls: Member) -> Member:
             taken = self._members.get(name)
             # The same file imported twice (a notebook cell, a reload) replaces itself.
             if taken is not None and taken.__qualname__ != cls.__qualname__:
@@ -49,19 +51,20 @@ class Registry(Generic[T]):
 
         return register
 
-    def get(self, name: str) -> type[T]:
+    def get(self, name: str) -> T:
         """Look a member up.
 
         Raises:
             UnknownName: with the names that do exist.
         """
-        self._discover()
+        if name not in self._members:
+            self._discover()
         try:
             return self._members[name]
         except KeyError:
             raise UnknownName(unknown(self.family, name, self.names())) from None
 
-    def make(self, name: str, **parameters: Any) -> T:
+    def make(self, name: str, **parameters: Any) -> Any:
         """An instance of a member, with the parameters given.
 
         Raises:
@@ -73,6 +76,12 @@ class Registry(Generic[T]):
             if key not in known:
                 raise UnknownName(unknown(f"parameter of {name!r}", key, known))
         return cls(**parameters)
+
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a member of that name."""
+        if name not in self._members:
+            self._discover()
+        return name in self._members
 
     def names(self) -> list[str]:
         """The registered names, sorted."""
@@ -147,6 +156,7 @@ filters: Registry = Registry("filters", "kedge.filters", "kedge.positioning")
 worlds: Registry = Registry("worlds", "kedge.simulation")
 routes: Registry = Registry("routes", "kedge.simulation")
 faults: Registry = Registry("faults", "kedge.simulation")
+readers: Registry = Registry("readers", "kedge.datasets", "kedge.formats")
 
 make_vehicle = vehicles.make
 make_sensor = sensors.make

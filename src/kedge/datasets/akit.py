@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table, build_table, check_order, read_cells, require_finite
@@ -41,6 +41,7 @@ AXES = "xyz"
 RATE = 10  # Hz
 
 
+@readers.add("auv_akit_snapir")
 def read_akit(path: Path, part: str | None = None) -> RawLog:
     """Read one run of a folder.
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError, UnknownName
+from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table, read_text
 from kedge.formats.tum import parse_tum
@@ -24,6 +25,7 @@ PERIOD = 5_000_000  # ns
 COARSE = 10_000  # ns; what 15 digits leave of a stamp
 
 
+@readers.add("euroc_mh01_imu")
 def read_euroc(path: Path, part: str | None = None) -> RawLog:
     """Read the IMU (``imu0_data.csv``) and the truth (``*_gt_tum.txt``) of a folder.
 

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.tables import Table, build_table, in_order, read_cells, table_of
 
 PLACE = {"position_x": "field.x", "position_y": "field.y", "position_z": "field.z"}
 
 
+@readers.add("hanyang_uwb")
 def read_hanyang(path: Path, part: str | None = None) -> RawLog:
     """Read one run: its folder, or a folder above it and the way from there as ``part``.
 

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kedge.core.errors import DataError
+from kedge.core.registry import readers
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.tables import Cells, build_table, in_order, read_text
 
@@ -30,6 +31,7 @@ KINDS = {
 """Kind of line -> its columns."""
 
 
+@readers.add("labyrinth")
 def read_labyrinth(path: Path, part: str | None = None) -> RawLog:
     """Read a folder with ``..._Input.txt`` and, for scores, ``..._GT.txt``; or such a file.
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Cells, Table, in_order, read_text, table_of
 
@@ -25,6 +25,7 @@ SURVEYED = 1 / 3
 PREFIXES = "UWB_", "motion_capture_"
 
 
+@readers.add("lias_trolley")
 def read_lias(path: Path, part: str | None = None) -> RawLog:
     """Read a folder, or the file of ranges in it; ``part`` tells several drives apart.
 

@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.tables import Cells, build_table, in_order, read_cells
 
@@ -28,6 +28,7 @@ SOURCES = {
 MAP = {"position_x": "m", "position_y": "m", "position_x_std": "m", "position_y_std": "m"}
 
 
+@readers.add("mrclam")
 def read_mrclam(path: Path, part: str | None = None) -> RawLog:
     """Read one robot of a data set, or of a folder that holds exactly one data set.
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table
@@ -27,6 +27,7 @@ ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
 
 
+@readers.add("navego_synthetic")
 def read_navego(path: Path, part: str | None = None) -> RawLog:
     """Read ``ref.mat``, ``gnss.mat`` and ``imu1.mat`` (or another, as ``part`` says).
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError
+from kedge.core.registry import readers
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.tables import in_order, table_of
@@ -22,6 +23,7 @@ SHAPES = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 """Matrix -> how many columns it has."""
 
 
+@readers.add("plaza")
 def read_plaza(path: Path, part: str | None = None) -> RawLog:
     """Read one ``.mat`` file.
 

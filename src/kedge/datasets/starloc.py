@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from kedge.core.errors import DataError
+from kedge.core.registry import readers
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.tables import Cells, Table, build_table, in_order, read_cells, table_of
@@ -37,6 +38,7 @@ calibration speaks of another frame."""
 GLITCH = 0.05  # m from the median of the neighbours, which no hand does in 50 ms
 
 
+@readers.add("starloc")
 def read_starloc(path: Path, part: str | None = None) -> RawLog:
     """Read one sequence.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kedge.core.errors import DataError, UnknownName
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Cells, Table, read_cells
 
@@ -23,6 +23,7 @@ EVERY = 12
 DAY = 86400.0
 
 
+@readers.add("trek1000")
 def read_trek1000(path: Path, part: str | None = None) -> RawLog:
     """Read one case: the ranges of a file, and Vicon's poses beside it if they are there.
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kedge.core.errors import ConfigError, DataError
+from kedge.core.registry import readers
 from kedge.formats.bag_config import BagConfig, TopicConfig
 from kedge.formats.bag_messages import Bag, Message, open_bag
 from kedge.formats.logs import RawLog, TargetMap
@@ -72,6 +73,8 @@ class Rows:
         return {name: (np.array(v, float), units[name]) for name, v in self.values.items()}
 
 
+@readers.add("bag")
+@readers.add("mcap")
 def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
     """Read the topics that a rig names.
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import model_validator
 
 from kedge.core.errors import DataError
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.atomic import fresh_folder
 from kedge.formats.tables import (
     NotFinite,
@@ -139,6 +139,7 @@ def _twice(columns: Mapping[str, ColumnConfig]) -> Iterator[str]:
         yield f"columns: two columns get the name {name!r}"
 
 
+@readers.add("folder")
 def read_folder(folder: Path, part: str | None = None) -> RawLog:
     """Read a log folder.
 
