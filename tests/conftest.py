@@ -41,9 +41,6 @@ if jax.__version_info__ < (0, 11):
         "--xla_llvm_disable_expensive_passes=true",
     )
 
-# Without a word to the contrary tests run by XLA, which is the engine for everything; those of
-# the other one ask for it.
-os.environ.setdefault("KEDGE_ENGINE", "xla")
 os.environ.setdefault(
     # Without links: the cache follows none.
     "KEDGE_NATIVE_CACHE",

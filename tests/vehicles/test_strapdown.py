@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kedge.testing import quick_jit
-from kedge.vehicles.strapdown import GRAVITY, Imu, State, Strapdown
+from kedge.vehicles.strapdown import GRAVITY, Imu, ImuWithSlopes, State, Strapdown
 
 CALM = Imu(jnp.zeros(3), jnp.zeros(3))
 
@@ -65,3 +65,36 @@ def test_attitude_composes_the_turns_of_the_body():
         expected = expected * Rotation.from_rotvec(rate(time, np.array) * dt)
     found = Rotation.from_quat(np.asarray(after.attitude)[[1, 2, 3, 0]])
     assert (expected.inv() * found).magnitude() < 1e-12
+
+
+def test_coning_and_sculling_of_readings_that_are_linear_within_a_step():
+    """One step with slopes is a thousand without, 20 times nearer than one without is."""
+    dt, count, trials = 0.02, 1000, 8
+    random = np.random.default_rng(3)
+    force, rate, force_slope, rate_slope = (
+        scale * random.normal(size=(trials, 3)) for scale in (5.0, 0.5, 300.0, 30.0)
+    )
+    start = State(jnp.zeros(3), jnp.zeros(3), jnp.array([0.6, 0.0, 0.8, 0.0]))
+
+    @quick_jit
+    @jax.vmap
+    def steps(force, rate, force_slope, rate_slope):
+        def fine(state, i):
+            after = (i + 0.5) * dt / count - dt / 2
+            imu = Imu(force + force_slope * after, rate + rate_slope * after)
+            return Strapdown().step(state, imu, CALM, dt / count), None
+
+        slopes = ImuWithSlopes(force, rate, force_slope, rate_slope)
+        return (
+            jax.lax.scan(fine, start, jnp.arange(count))[0],
+            Strapdown().step(start, Imu(force, rate), CALM, dt),
+            Strapdown(slopes=True).step(start, slopes, CALM, dt),
+        )
+
+    exact, plain, better = steps(force, rate, force_slope, rate_slope)
+    for of in State._fields:
+        without, gap = (
+            np.linalg.norm(getattr(one, of) - getattr(exact, of), axis=1)
+            for one in (plain, better)
+        )
+        assert (gap < without / 20).all(), (of, gap / without)

@@ -118,6 +118,6 @@ def slope_gap(
     return jnp.abs(jacobian - slope).max() / jnp.maximum(jnp.abs(slope).max(), 1.0)
 
 
-def row(tree: Any, index: int | slice) -> Any:
-    """One row of every leaf."""
+def row(tree: Any, index: int | slice | tuple[int, ...]) -> Any:
+    """One row, or element, of every leaf."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
