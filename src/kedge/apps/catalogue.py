@@ -87,8 +87,8 @@ def _datasets() -> dict[str, Any]:
     from kedge.datasets.fetch import DATASETS, locate
 
     formats = "kedge.formats."
-    own = [n for n in readers.names() if not readers.get(n).__module__.startswith(formats)]
-    found = {name: {"summary": _module_title(readers.get(name))} for name in own}
+    recorded = [n for n in readers.names() if not readers.get(n).__module__.startswith(formats)]
+    found = {name: {"summary": _module_title(readers.get(name))} for name in recorded}
     for name, entry in DATASETS.items():
         place = locate(name)
         found[name] = {

@@ -38,10 +38,10 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
     """
     model, require = member(filter, registry.filters, AbstractFilter)
     key = jr.key(4)
-    rig, log, found, run = _first_run(model, require, key)
+    rig, log, estimates, run = _first_run(model, require, key)
     silent = log.schedule._replace(sensor=np.full_like(log.schedule.sensor, -1))
     for index, label in enumerate(("as they are", "spoilt", "missing")):
-        moments = row(found.moments, index)
+        moments = row(estimates.moments, index)
         require.finite(
             f"the moments are finite, with readings {label}",
             np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(moments)]),
@@ -54,22 +54,22 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
 
     require(
         "the same key gives the same bytes",
-        _bytes(run(log.schedule)) == _bytes(found),
+        _bytes(run(log.schedule)) == _bytes(estimates),
         found="two results",
         expected="one",
     )
-    verdicts = found.outcome.verdict[2][log.schedule.sensor >= 0]
+    verdicts = estimates.outcome.verdict[2][log.schedule.sensor >= 0]
     require(
         "a reading that is missing is not used",
         bool((verdicts == Verdict.NOT_FINITE).all()),
         found=[Verdict(verdict).name for verdict in verdicts],
         expected="NOT_FINITE",
     )
-    alone, gone = row(run(silent).moments, 2), row(found.moments, 2)
+    alone, gone = row(run(silent).moments, 2), row(estimates.moments, 2)
     require.small("a missing reading leaves the prediction", _distance(alone, gone), 1e-12)
 
     for index in range(2):
-        moments, verdicts = row((found.moments, found.outcome.verdict), index)
+        moments, verdicts = row((estimates.moments, estimates.outcome.verdict), index)
         same = log._replace(readings=row(log.readings, index))
         gap, verdict = _online_gap(model, rig, same, key, moments, verdicts)
         require("batch and online give the same verdicts", verdict is None, found=verdict)
@@ -112,11 +112,11 @@ def _first_run(
 
         with Tracing(require, "it can be traced, scanned over a log and mapped over runs"):
             try:
-                found = jax.tree.map(np.asarray, run(log.schedule))
+                estimates = jax.tree.map(np.asarray, run(log.schedule))
             except ContractError as error:
                 refusal = error
             else:
-                return rig, log, found, run
+                return rig, log, estimates, run
     raise ContractError(f"{require.member} refuses every vehicle: {refusal}") from refusal
 
 
