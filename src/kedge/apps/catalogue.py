@@ -88,7 +88,9 @@ def _datasets() -> dict[str, Any]:
 
     formats = "kedge.formats."
     recorded = [n for n in readers.names() if not readers.get(n).__module__.startswith(formats)]
-    found = {name: {"summary": _module_title(readers.get(name))} for name in recorded}
+    found: dict[str, dict[str, Any]] = {
+        name: {"summary": _module_title(readers.get(name))} for name in recorded
+    }
     for name, entry in DATASETS.items():
         place = locate(name)
         found[name] = {

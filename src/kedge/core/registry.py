@@ -46,7 +46,8 @@ class Registry(Generic[T]):
                     f"{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
                 )
             self._members[name] = cls
-            _name_owner(cls)
+            if isinstance(cls, type):
+                _name_owner(cls)
             return cls
 
         return register
