@@ -46,8 +46,7 @@ class Registry(Generic[T]):
                     f"{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
                 )
             self._members[name] = cls
-            if isinstance(cls, type):
-                _name_owner(cls)
+            _name_owner(cls)
             return cls
 
         return register
@@ -121,7 +120,7 @@ def camel_case(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("-"))
 
 
-def _name_owner(member: type) -> None:
+def _name_owner(member: Callable[..., Any]) -> None:
     """Have the ``NamedTuple`` classes of a member's module say whose they are.
 
     There is a ``State`` in every module of a vehicle: it shows as ``unicycle.State(...)``.
