@@ -2,7 +2,8 @@
 
 Known numbers are computed, zeros and ones vanish, and both orders of a sum are one node. A
 product with a known zero is zero: where XLA would carry a NaN through it, the NaN stays in the
-factor that brought it.
+factor that brought it. The sign of a zero is not kept where a known zero or an opposite
+vanishes, nor by the larger of two zeros.
 """
 
 import math
@@ -56,9 +57,12 @@ class Algebra:
         self.graph = graph
 
     def const(self, value: Any, kind: str) -> Node:
-        """A known number of that kind."""
-        typed = TYPES[kind](value)
-        return self.graph.const(typed.item(), kind)
+        """A known number of that kind; integers wrap."""
+        if kind[0] not in "iu":
+            return self.graph.const(TYPES[kind](value).item(), kind)
+        info = np.iinfo(TYPES[kind])
+        wrapped = (int(value) - int(info.min)) % 2**info.bits + int(info.min)
+        return self.graph.const(wrapped, kind)
 
     def add(self, a: Node, b: Node) -> Node:
         """Sum; ``a + (-b)`` is the difference, and zeros go."""
@@ -187,11 +191,14 @@ class Algebra:
         """The same number as another kind of number."""
         if a.kind == kind:
             return a
-        if a.is_const and not (
-            isinstance(value_of(a), float) and not math.isfinite(value_of(a))
-        ):
+        if a.is_const:
+            value = value_of(a)
+            if a.kind in FLOATS and kind[0] in "iu":  # the next integer that there is
+                limits = np.iinfo(TYPES[kind])
+                value = 0.0 if math.isnan(value) else value
+                value = int(max(min(value, int(limits.max)), int(limits.min)))
             with np.errstate(all="ignore"):
-                return self.const(np.asarray(value_of(a)).astype(TYPES[kind]), kind)
+                return self.const(value, kind)
         if kind == "b1":
             return self.compare("ne", a, self.const(0, a.kind))
         if a.kind == "b1" and kind in FLOATS:

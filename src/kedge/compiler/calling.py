@@ -15,20 +15,16 @@ MOST_ROUNDS = 64
 """Of a loop that is unrolled."""
 
 
-@rule("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call",
-      "custom_vjp_call_jaxpr", "remat", "remat2", "checkpoint", "custom_vmap_call",
-      "custom_lin", "call")  # fmt: skip
+@rule("jit", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call", "remat2", "checkpoint")
 @takes_any
 def _call(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value]:
-    for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
-        inside = equation.params.get(name)
-        if hasattr(inside, "eqns") or hasattr(inside, "jaxpr"):
-            return _run(interpreter, inside, values)
-    return [Opaque(f"operation {equation.primitive.name!r}")] * len(equation.outvars)
+    params = equation.params
+    inside = next(params[name] for name in ("jaxpr", "call_jaxpr", "call") if name in params)
+    return _run(interpreter, inside, values)
 
 
 def _run(interpreter: Interpreter, program: Any, values: Any) -> list[Value]:
-    if isinstance(program, ClosedJaxpr) or hasattr(program, "consts"):
+    if isinstance(program, ClosedJaxpr):
         return interpreter.run(program.jaxpr, program.consts, values)
     return interpreter.run(program, (), values)
 
@@ -123,7 +119,9 @@ def _scan(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value
         outputs.append(found[carried:])
     if params["reverse"]:
         outputs.reverse()
-    stacked = []
+    stacked: list[Value] = []
+    if rounds == 0:
+        return [*carry, *(filled([], v.aval.shape) for v in equation.outvars[carried:])]
     for column in zip(*outputs, strict=True):
         if any(isinstance(v, Opaque) for v in column):
             stacked.append(Opaque("a loop over what is not known"))

@@ -1,6 +1,5 @@
 """Rules of operations element by element."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -46,7 +45,7 @@ _register("exp2", lambda f, _: lambda a: f.call("exp2", a))
 _register("square", lambda f, _: lambda a: f.mul(a, a))
 _register("not", lambda f, _: f.invert)
 _register("abs", lambda f, _: f.absolute)
-_register("stop_gradient copy copy_p optimization_barrier", lambda f, _: _same)
+_register("stop_gradient copy optimization_barrier", lambda f, _: _same)
 for _name in ("sqrt", "floor", "ceil"):
     _register(_name, lambda f, _, name=_name: lambda a: f.unary(name, a))
 for _name in ("and", "or", "xor"):
@@ -76,9 +75,9 @@ def _whole(f: Functions, op: str, a: Node, b: Node) -> Node:
     if not b.is_const or value_of(b) in (0, -1):
         raise Unsupported("division of integers by what is not known")
     if a.is_const:
-        quotient = math.trunc(value_of(a) / value_of(b))
-        rest = value_of(a) - quotient * value_of(b)
-        return f.const(quotient if op == "quotient" else rest, a.kind)
+        x, y = value_of(a), value_of(b)
+        quotient = abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1)
+        return f.const(quotient if op == "quotient" else x - quotient * y, a.kind)
     return f.graph.make(op, a.kind, (a, b))
 
 
@@ -167,11 +166,24 @@ def _convert(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarr
 def _shift(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     name = equation.primitive.name.replace("right_logical", "unsigned")
     op = name.replace("right_arithmetic", "signed")
-    make = interpreter.functions.graph.make
-    return each(lambda x, y: make(op, x.kind, (x, y)), a, b)
+    f = interpreter.functions
+
+    def shift(x: Node, by: Node) -> Node:
+        # A word has no such shift: nothing is left, or the sign.
+        last = f.const(8 * int(x.kind[1:]) - 1, x.kind)
+        over = f.compare("gt", by, last)
+        if by.kind[0] == "i":
+            over = f.both("or", over, f.compare("lt", by, f.const(0, by.kind)))
+        within = f.graph.make(op, x.kind, (x, f.select(over, last, by)))
+        beyond = within if op == "shift_signed" else f.const(0, x.kind)
+        return f.select(over, beyond, within)
+
+    return each(shift, a, b)
 
 
 @rule("bitcast_convert_type")
 def _bitcast(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarray:
     kind = kind_of(equation.params["new_dtype"])
+    if a.shape != equation.outvars[0].aval.shape:
+        raise Unsupported("the parts of a number")
     return each(lambda x: interpreter.functions.graph.make("bitcast", kind, (x,)), a)

@@ -118,7 +118,7 @@ def at(f: Functions, source: Value, begin: list[Node], index: tuple[int, ...]) -
     return found
 
 
-@rule("scatter", "scatter-add", "scatter_add", "scatter_mul", "scatter-mul")
+@rule("scatter", "scatter-add", "scatter-sub", "scatter-mul", "scatter-min", "scatter-max")
 def _scatter(
     interpreter: Interpreter,
     equation: Any,
@@ -126,29 +126,36 @@ def _scatter(
     indices: np.ndarray,
     updates: np.ndarray,
 ) -> np.ndarray:
-    f, numbers = interpreter.functions, equation.params["dimension_numbers"]
+    """Windows written, or put together with what is there, at places that are known."""
+    params = equation.params
+    numbers, combine = params["dimension_numbers"], params["update_jaxpr"]
     if numbers.operand_batching_dims:
         raise Unsupported("scatter with batching dimensions")
     inner = [a for a in range(source.ndim) if a not in numbers.inserted_window_dims]
     outer = [a for a in range(updates.ndim) if a not in numbers.update_window_dims]
+    window = [1] * source.ndim
+    for axis, there in zip(inner, numbers.update_window_dims, strict=True):
+        window[axis] = updates.shape[there]
+    clips = "clip" in str(params["mode"]).lower()
     out = source.copy()
-    name = equation.primitive.name
     for place in np.ndindex(*updates.shape):
         vector = indices[tuple(place[a] for a in outer)]
         if not all(v.is_const for v in vector):
             raise Unsupported("scatter at a place that is not known")
-        index = [0] * source.ndim
-        for axis, there in zip(inner, numbers.update_window_dims, strict=True):
-            index[axis] = place[there]
+        begin = [0] * source.ndim
         for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
-            index[axis] += start.param[1]
-        target = tuple(index)
-        if not all(0 <= i < n for i, n in zip(target, source.shape, strict=True)):
-            continue
-        new: Any = updates[place]
-        if "add" in name:
-            new = f.add(out[target], new)
-        elif "mul" in name:
-            new = f.mul(out[target], new)
+            begin[axis] = start.param[1]
+        last = [n - m for n, m in zip(source.shape, window, strict=True)]
+        inside = [min(max(b, 0), e) for b, e in zip(begin, last, strict=True)]
+        if inside != begin and not clips:
+            continue  # a window that sticks out is dropped whole
+        index = inside
+        for axis, there in zip(inner, numbers.update_window_dims, strict=True):
+            index[axis] += place[there]
+        target, new = tuple(index), updates[place]
+        if combine is not None:
+            values = [filled([node], ()) for node in (out[target], new)]
+            (result,) = interpreter.run(combine, params["update_consts"], values)
+            new = interpreter.nodes(result).item()
         out[target] = new
     return out

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from kedge.compiler.algebra import Algebra
+from kedge.compiler.elementwise import each
 from kedge.compiler.functions import Functions
 from kedge.compiler.graph import Node, Unsupported
 from kedge.compiler.interpret import Interpreter, rule
@@ -22,7 +23,7 @@ FOLDS: dict[str, Fold] = {
     "or": lambda f: lambda a, b: f.both("or", a, b),
     "xor": lambda f: lambda a, b: f.both("xor", a, b),
 }
-EMPTY = {"sum": 0, "prod": 1, "and": True, "or": False, "xor": False}
+EMPTY = {"sum": 0, "prod": 1, "and": -1, "or": 0, "xor": 0}
 
 
 @rule(*(f"reduce_{name}" for name in FOLDS))
@@ -31,7 +32,8 @@ def _reduce(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarra
     axes = equation.params["axes"]
     kept = [axis for axis in range(a.ndim) if axis not in axes]
     shape = tuple(a.shape[axis] for axis in kept)
-    rows = np.transpose(a, [*kept, *axes]).reshape(int(np.prod(shape, dtype=int)), -1)
+    sizes = [int(np.prod([a.shape[i] for i in part], dtype=int)) for part in (kept, axes)]
+    rows = np.transpose(a, [*kept, *axes]).reshape(sizes)
     combine, found = FOLDS[name](f), []
     for row in rows:
         if len(row) == 0:
@@ -95,9 +97,11 @@ def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
         ]
         return np.transpose(x, [*batch, *free, *summed]).reshape(size)
 
+    kind = kind_of(equation.outvars[0].aval.dtype)
+    a, b = (each(lambda x: f.convert(x, kind), array) for array in (a, b))
     first, second = arranged(a, left_batch, left), arranged(b, right_batch, right)
     if first.shape[-1] == 0:
-        zero = f.const(0, kind_of(equation.outvars[0].aval.dtype))
+        zero = f.const(0, kind)
         shape = equation.outvars[0].aval.shape
         return filled([zero] * int(np.prod(shape, dtype=int)), shape)
     found = [

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from kedge.compiler.interpret import Interpreter, rule, takes_any
-from kedge.compiler.values import Opaque, Value, filled, kind_of
+from kedge.compiler.interpret import Interpreter, rule
+from kedge.compiler.values import filled, kind_of
 
 
-@rule("reshape", "squeeze", "expand_dims")
+@rule("reshape", "squeeze")
 def _reshape(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarray:
     return a.reshape(equation.outvars[0].aval.shape)
 
@@ -76,12 +76,6 @@ def _iota(interpreter: Interpreter, equation: Any, *_: Any) -> np.ndarray:
     thin = [1] * len(shape)
     thin[axis] = shape[axis]
     return np.broadcast_to(filled(known, tuple(thin)), shape)
-
-
-@rule("select_and_gather_add", "sort", "top_k", "cumlogsumexp")
-@takes_any
-def _no(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value]:
-    return [Opaque(f"operation {equation.primitive.name!r}")] * len(equation.outvars)
 
 
 @rule("dynamic_update_slice")
