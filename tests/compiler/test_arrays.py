@@ -53,9 +53,7 @@ fourfold.defvjp(lambda x: (4 * x, ()), lambda _, g: (4 * g,))
 
 def reducing(name):
     function = getattr(lax, f"reduce_{name}")
-    return [
-        (lambda x, axes=axes: function(x, axes), CUBE) for axes in ((0,), (1, 2), (0, 2), ())
-    ]
+    return [(lambda x, axes=axes: function(x, axes), CUBE) for axes in ((1,), (0, 2))]
 
 
 def reducing_words(name):
@@ -72,7 +70,7 @@ def reducing_words(name):
 def cumulating(name):
     function = getattr(lax, f"cum{name}")
     return [(lambda x, a=a, r=r: function(x, axis=a, reverse=r), CUBE)
-            for a, r in ((0, False), (1, True), (2, False))]  # fmt: skip
+            for a, r in ((0, False), (1, True))]  # fmt: skip
 
 
 def scattering(how):
@@ -156,15 +154,15 @@ CASES = {
         (lambda x: x.at[1].apply(lambda y: y * y), V),
     ],
     "scatter-add": [*scattering("add"), windows("drop"), windows("clip")],
-    "scatter-sub": scattering("subtract"),
-    "scatter-mul": scattering("multiply"),
-    "scatter-min": scattering("min"),
-    "scatter-max": scattering("max"),
+    "scatter-sub": scattering("subtract")[:1],
+    "scatter-mul": scattering("multiply")[:1],
+    "scatter-min": scattering("min")[:1],
+    "scatter-max": scattering("max")[:1],
     **{f"reduce_{name}": reducing(name) for name in ("sum", "prod", "max", "min")},
     **{f"reduce_{name}": reducing_words(name) for name in ("and", "or", "xor")},
     **{f"cum{name}": cumulating(name) for name in ("sum", "prod", "max", "min")},
-    "argmax": [(lambda x, a=a: lax.argmax(x, a, np.int32), CUBE) for a in (0, 1, 2)],
-    "argmin": [(lambda x, a=a: lax.argmin(x, a, np.int64), CUBE) for a in (0, 1, 2)],
+    "argmax": [(lambda x, a=a: lax.argmax(x, a, np.int32), CUBE) for a in (0, 2)],
+    "argmin": [(lambda x, a=a: lax.argmin(x, a, np.int64), CUBE) for a in (0, 2)],
     "dot_general": [
         (jnp.dot, M, (4, 2)),
         (jnp.dot, V, V),
@@ -183,7 +181,7 @@ CASES = {
     "triangular_solve": [
         (lambda a, b, form=form: lax.linalg.triangular_solve(
             a + 9 * jnp.eye(4), b, **dict(zip(FORM, form, strict=True))), MATRIX, MATRIX)
-        for form in itertools.product((True, False), repeat=3)
+        for form in itertools.product((True, False), repeat=3) if sum(form) % 2
     ] + [(jax.vmap(lambda a, b: solve_triangular(a + 9 * jnp.eye(3), b)), (2, 3, 3), (2, 3))],
     "jit": [(jax.jit(lambda x: 2 * x), V)],
     "custom_jvp_call": [(tripled, V)],

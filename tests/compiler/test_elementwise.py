@@ -118,12 +118,14 @@ def test_bitcast_convert_type(kinds):
 
 
 @pytest.mark.parametrize("kind", INTEGER)
-@pytest.mark.parametrize("divisor", [1, 2, 3, 7, 100, -3, -128])
-def test_div_and_rem_of_integers_by_what_is_known(kind, divisor):
-    if divisor < 0 and kind[0] == "u":
-        pytest.skip("there is no such number")
-    by = np.array(divisor, TYPES[kind])
-    assert_both(lambda x: [lax.div(x, by), lax.rem(x, by)], edges(kind))
+def test_div_and_rem_of_integers_by_what_is_known(kind):
+    divisors = [1, 2, 3, 7, 100, *([-3, -128] if kind[0] == "i" else [])]
+
+    def function(x):
+        known = [np.array(divisor, TYPES[kind]) for divisor in divisors]
+        return [operation(x, by) for by in known for operation in (lax.div, lax.rem)]
+
+    assert_both(function, edges(kind))
 
 
 @pytest.mark.parametrize("kind", ["f8", "i8", "b1"])
@@ -140,7 +142,7 @@ def test_integer_pow(kind, power):
     assert_both(lambda x: lax.integer_pow(x, power), edges(kind), ulp=4, elementwise=True)
 
 
-@pytest.mark.parametrize("kind", ["i8", "i1", "u8", "u2"])
+@pytest.mark.parametrize("kind", ["i8", "u2"])
 def test_known_operands_are_computed_as_the_machine_does(kind):
     """What is folded beside what is computed, at the edges: wrapping, signs, shifts."""
 

@@ -98,23 +98,22 @@ def seeds(fast, thorough):
     ]
 
 
-@pytest.mark.parametrize("seed", seeds(4, 100))
+@pytest.mark.parametrize("seed", seeds(2, 100))
 def test_whole_numbers_are_exact(seed):
     rng = np.random.default_rng(seed)
     rows = [rng.integers(-3, 4, (7, *shape)).astype(float) for shape in (ROW, MATRIX)]
     assert_both(whole_numbers(seed), *rows, rng.integers(0, 3, 7), signs=False)
 
 
-@pytest.mark.parametrize("seed", seeds(3, 60))
+@pytest.mark.parametrize("seed", seeds(2, 60))
 def test_smooth_functions_round(seed):
     rng = np.random.default_rng(seed)
     assert_both(smooth(seed), *rng.normal(0, 1, (2, 9)), rounds=True)
 
 
-@pytest.mark.parametrize("which", range(len(SAME_SHAPE)))
-def test_each_step_alone(which):
+def test_each_step_alone():
     """So that each is tried, whatever is drawn above."""
-    rng = np.random.default_rng(which)
-    step = SAME_SHAPE[which]
+    rng = np.random.default_rng(0)
     rows = [rng.integers(-3, 4, (7, *ROW)).astype(float) for _ in range(2)]
-    assert_both(lambda x, y, i: [step(x, y, i)], *rows, rng.integers(0, 3, 7), signs=False)
+    whole = rng.integers(0, 3, 7)
+    assert_both(lambda *xs: [step(*xs) for step in SAME_SHAPE], *rows, whole, signs=False)

@@ -154,7 +154,8 @@ def _scatter(
             index[axis] += place[there]
         target, new = tuple(index), updates[place]
         if combine is not None:
-            values = [filled([node], ()) for node in (out[target], new)]
+            pair: list[Any] = [out[target], new]
+            values = [filled([node], ()) for node in pair]
             (result,) = interpreter.run(combine, params["update_consts"], values)
             new = interpreter.nodes(result).item()
         out[target] = new
