@@ -39,10 +39,14 @@ demo: .venv/.studio ## the main job, end to end, on a recorded log: OUT=build/de
 test: .venv/.dev ## the fast tests: ARGS='tests/filters -k extended'
 	$(PYTEST) -m $(FAST) $(ARGS)
 
+# What is run a second time with XLA in the place of machine code, which `auto` prefers.
+ENGINES := tests/contracts/test_filters.py tests/estimation tests/studies
+
 .PHONY: slow
-slow: .venv/.dev ## the slow tests, and those on recorded data (KEDGE_DATA)
+slow: .venv/.dev ## the slow tests, those of the other engine, those on recorded data (KEDGE_DATA)
 	$(PYTEST) -m 'slow and not data and not golden' $(ARGS)
-	XLA_FLAGS= KEDGE_ENGINE= $(PYTEST) -m 'data or golden' $(ARGS)
+	KEDGE_ENGINE=xla $(PYTEST) -m $(FAST) $(ENGINES)
+	XLA_FLAGS= $(PYTEST) -m 'data or golden' $(ARGS)
 
 .PHONY: slow-list
 slow-list: .venv/.dev ## which of the fast tests take too long to be called fast: tests/slow.txt

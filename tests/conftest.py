@@ -67,16 +67,20 @@ settings.load_profile("kedge")
 # writes it anew from measured times.
 LISTED = Path(__file__).with_name("slow.txt")
 LONG = {"call": 2.0, "setup": 5.0}  # seconds; what is set up serves several tests
-# Always tried: what a newcomer does first, and one filter of each kind.
+# Always tried: what a newcomer does first, and the contract of every member of a family.
+CONTRACTS = tuple(
+    f"tests/contracts/test_{family}.py" for family in ("filters", "sensors", "vehicles")
+)
 KEPT = (
     "test_documents.py::test_code_blocks_run[README.md]",
     "test_documents.py::test_code_blocks_run[docs/how-to/add-a-vehicle.md]",
-    "test_filters.py::test_filter[extended]",
-    "test_filters.py::test_filter[ensemble]",
-    "test_filters.py::test_filter[particle]",
     "test_commands.py::test_estimate_leaves_what_it_promises",
     "test_study.py::test_it_prints_scores_beside_what_was_published",
 )
+
+
+def kept(nodeid: str) -> bool:
+    return nodeid.endswith(KEPT) or nodeid.startswith(CONTRACTS)
 
 
 def pytest_addoption(parser: pytest.Parser):
@@ -95,9 +99,7 @@ class Times:
         self.long: set[str] = set()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport):
-        if report.duration > LONG.get(report.when or "", np.inf) and not report.nodeid.endswith(
-            KEPT
-        ):
+        if report.duration > LONG.get(report.when or "", np.inf) and not kept(report.nodeid):
             file = report.nodeid.split("::")[0]
             self.long.add(file if report.when == "setup" else report.nodeid)
 
@@ -120,7 +122,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if "golden" in item.path.relative_to(config.rootpath).parts:
             item.add_marker("golden")
         names = {item.nodeid, item.nodeid.split("::")[0]}
-        if names & listed and not item.nodeid.endswith(KEPT):
+        if names & listed and not kept(item.nodeid):
             item.add_marker("slow")
         if item.get_closest_marker("gpu") and jax.default_backend() != "gpu":
             item.add_marker(pytest.mark.skip(reason="JAX finds no GPU"))
