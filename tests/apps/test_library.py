@@ -5,27 +5,10 @@ import json
 import pytest
 
 import kedge
+from fixtures.studies import buoy_text
 from kedge import filters
 
-SCENARIO = """
-[scenario]
-title = "a buoy"
-source = "these tests"
-duration = 3.0
-dt = 0.5
-runs = 3
-burn_in = 1.0
-filters = ["kalman"]
-
-[vehicle]
-model = "constant-velocity"
-
-[sensors.gnss]
-model = "gnss"
-
-[prior]
-std = { position = 1.0, velocity = 0.3 }
-"""
+SCENARIO = buoy_text(filters=["kalman"])
 
 
 @pytest.fixture

@@ -7,24 +7,9 @@ import sys
 
 import pytest
 
-SCENARIO = """
-[scenario]
-title = "a buoy"
-source = "these tests"
-duration = 10.0
-dt = 0.5
-runs = 1
-filters = ["kalman", "ensemble:count=8"]
+from fixtures.studies import buoy_text
 
-[vehicle]
-model = "constant-velocity"
-
-[sensors.gnss]
-model = "gnss"
-
-[prior]
-std = { position = 1.0, velocity = 0.3 }
-"""
+SCENARIO = buoy_text(duration=10.0, burn_in=0.0, runs=1, filters=["kalman", "ensemble:count=8"])
 PEAK = """
 import resource, sys
 from kedge.apps import cli

@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from fixtures.studies import buoy_text
 from kedge.apps.study_output import score_names, summary_of
 from kedge.config.scenarios import load_scenario
 from kedge.filters.gaussian.dead_reckoning import DeadReckoning
@@ -12,25 +13,9 @@ from kedge.filters.gaussian.kalman import Kalman
 from kedge.formats.results import flatten
 from kedge.studies.study import Study, run_study
 
-SCENARIO = """
-[scenario]
-title = "a buoy"
-source = "these tests"
-duration = 4.0
-dt = 0.5
-burn_in = 1.0
-runs = 3
-filters = ["kalman", "dead-reckoning"]
-
-[vehicle]
-model = "constant-velocity"
-
-[sensors.gnss]
-model = "gnss"
-
-[prior]
-std = { position = 1.0, velocity = 0.3 }
-
+SCENARIO = buoy_text(
+    duration=4.0,
+    after="""
 [published]
 kalman = { rmse = 0.5, source = "nowhere" }
 
@@ -46,7 +31,8 @@ text = "readings make it worse"
 source = "a letter"
 test = "kalman.score > dead-reckoning.score"
 means = "they do not"
-"""
+""",
+)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fixtures.studies import buoy_text
 from kedge.apps.study_output import content_of, summary_of
 from kedge.config.filters import build_filter
 from kedge.config.scenarios import load_scenario
@@ -30,28 +31,14 @@ from kedge.studies.study import Study, Trials, plan_of
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
-BUOY = """
-errata = ["Table 4 <is> wrong"]
-
-[scenario]
-title = "A buoy & a boat"
-source = "these tests"
-duration = 12.0
-dt = 0.5
-burn_in = 2.0
-filters = ["kalman", "extended", "dead-reckoning", "ensemble:count=8", "ensemble:count=16"]
-featured = ["ensemble:count=8", "kalman"]
-
-[vehicle]
-model = "constant-velocity"
-
-[sensors.gnss]
-model = "position-velocity"
-rate = 2.0
-
-[prior]
-std = { position = 1.0, velocity = 0.3 }
-
+BUOY = 'errata = ["Table 4 <is> wrong"]\n' + buoy_text(
+    title="A buoy & a boat",
+    duration=12.0,
+    burn_in=2.0,
+    filters=["kalman", "extended", "dead-reckoning", "ensemble:count=8", "ensemble:count=16"],
+    featured=["ensemble:count=8", "kalman"],
+    sensor='model = "position-velocity"\nrate = 2.0',
+    after="""
 [published."ensemble:count=16"]
 rmse = 0.489
 source = "Table 3"
@@ -72,7 +59,8 @@ text = "Readings make it worse"
 source = "a letter"
 test = "kalman.score > dead-reckoning.score"
 means = "They do not"
-"""
+""",
+)
 
 
 def study_content(setting, runs, chunk=16):

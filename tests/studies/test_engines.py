@@ -10,29 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from fixtures.studies import buoy_text
 from kedge.apps import study
 from kedge.studies import engines
 from kedge.studies.chunks import ChunkFolder
 
-SCENARIO = """
-[scenario]
-title = "a buoy"
-source = "these tests"
-duration = 3.0
-dt = 0.5
-burn_in = 1.0
-runs = 8
-filters = ["kalman", "dead-reckoning"]
-
-[vehicle]
-model = "constant-velocity"
-
-[sensors.gnss]
-model = "gnss"
-
-[prior]
-std = { position = 1.0, velocity = 0.3 }
-"""
+SCENARIO = buoy_text(runs=8)
 
 
 @pytest.fixture
