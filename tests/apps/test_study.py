@@ -47,7 +47,7 @@ def test_it_prints_scores_beside_what_was_published(buoy, kedge, tmp_path):
     code, printed, err = kedge("study", buoy, "--out", out, "--no-report")
     assert code == 0, err
     assert sorted(path.name for path in out.iterdir()) == [
-        "chunks", "runs.csv", "study.json", "summary.json", "table.csv"
+        "chunks", "kedge.json", "runs.csv", "study.json", "summary.json", "table.csv"
     ]  # fmt: skip
     table = printed.splitlines()
     assert table[0] == "a buoy: 3 runs, seed 0"

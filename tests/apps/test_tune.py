@@ -22,7 +22,7 @@ def tuned(site, kedge):
 def test_it_leaves_what_it_promises(tuned):
     site, out, _, summary = tuned
     names = {path.name for path in (site / "out").iterdir()}
-    assert names == {"tune.json", "tuned.toml", "profile.svg", "profile.png"}
+    assert names == {"kedge.json", "tune.json", "tuned.toml", "profile.svg", "profile.png"}
     rows = {row["key"]: row for row in summary["parameters"]}
     assert list(rows) == [
         "vehicle.parameters.speed_noise",

@@ -13,7 +13,7 @@ import pytest
 from fixtures.studies import buoy_text
 from kedge.apps import study
 from kedge.studies import engines
-from kedge.studies.chunks import ChunkFolder
+from kedge.studies.chunks import open_study
 
 SCENARIO = buoy_text(runs=8)
 
@@ -131,14 +131,16 @@ def test_folders_of_others_are_left_alone(buoy, kedge, tmp_path):
 
 
 def test_a_torn_chunk_is_done_again(tmp_path):
-    folder = ChunkFolder(tmp_path / "s", {"seed": 1})
-    folder.save(0, {"a": np.arange(3.0)})
-    folder.save(1, {"a": np.arange(4.0)})
+    with open_study(tmp_path / "s", {"seed": 1}) as folder:
+        folder.save(0, {"a": np.arange(3.0)})
+        folder.save(1, {"a": np.arange(4.0)})
     file = tmp_path / "s" / "chunks" / "000001.npz"
     file.write_bytes(file.read_bytes()[:40])
-    again = ChunkFolder(tmp_path / "s", {"seed": 1}, resume=True)
-    assert again.done() == [0]
-    np.testing.assert_array_equal(again.load(0)["a"], np.arange(3.0))
+    with open_study(tmp_path / "s", {"seed": 1}, resume=True) as again:
+        done, faults = again.survey()
+        assert done == [0]
+        assert "000001.npz: found a chunk that is damaged or cut off" in faults[0]
+        np.testing.assert_array_equal(again.load(0)["a"], np.arange(3.0))
 
 
 def test_a_scheduler_that_does_not_answer(buoy, kedge, tmp_path, monkeypatch):

@@ -11,10 +11,10 @@ from kedge.calibration.allan import AllanCurve, AllanFit, allan, fit
 from kedge.config.readings import find_table
 from kedge.core.errors import DataError
 from kedge.estimation.log import SECOND
-from kedge.formats.atomic import fresh_folder
 from kedge.formats.logs import digest_inputs
 from kedge.formats.readers import read_log
 from kedge.formats.results import write_csv, write_summary
+from kedge.formats.results_folder import results_folder
 from kedge.reports.allan_figure import draw_allan
 from kedge.reports.style import save_png, subplots, svg_of
 
@@ -63,7 +63,7 @@ def execute(log: str, format: str, source: str | None, out: Path | None) -> dict
         "inputs": digest_inputs(raw),
     }
     if out is not None:
-        with fresh_folder(out, "summary.json") as folder:
+        with results_folder(out, "allan") as folder:
             _write(folder, summary, signals, fitted, units)
     return summary
 

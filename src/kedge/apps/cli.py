@@ -14,6 +14,7 @@ from kedge.apps.console import (
     ThresholdMissed,
     check_requirements,
     finish,
+    interruptions,
     parse_requirements,
     plain_warnings,
     print_json,
@@ -359,7 +360,7 @@ def _finish_study(
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
     try:
-        with plain_warnings():
+        with interruptions(), plain_warnings():
             app()
     except ThresholdMissed as error:
         print(f"kedge: {error}", file=sys.stderr)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import signal
 import sys
 import time
 import warnings
@@ -23,6 +24,29 @@ class ThresholdMissed(KedgeError):
 
 class Interrupted(KedgeError):
     """Ctrl-C, with what was kept: exit code 130."""
+
+
+@contextlib.contextmanager
+def interruptions() -> Iterator[None]:
+    """A request to end (SIGTERM) is a Ctrl-C, and either is said.
+
+    Raises:
+        Interrupted: by one of them.
+    """
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit) as ended:
+        # Typer makes the first into the second.
+        if isinstance(ended, SystemExit) and ended.code != 130:
+            raise
+        raise Interrupted("nothing new is kept") from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextlib.contextmanager

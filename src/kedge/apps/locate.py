@@ -21,8 +21,8 @@ from kedge.core.registry import unknown
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import SECOND
 from kedge.evaluation.score import truth_at
-from kedge.formats.atomic import fresh_folder
 from kedge.formats.results import as_toml, digest, plain, write_csv, write_summary, write_table
+from kedge.formats.results_folder import results_folder
 from kedge.positioning.epochs import Epochs, epochs_of
 from kedge.positioning.fix import Fix, Status
 from kedge.positioning.links import Links
@@ -63,7 +63,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
     problem = load(rig, log, options.truth, options.until, options.changes)
     heard = epochs_in(problem, options.sensor, options.window)
     position = problem.rig.prior.mean.position
-    with fresh_folder(out, "summary.json") as folder, console_progress() as progress:
+    with results_folder(out, "locate") as folder, console_progress() as progress:
         fixes, scores = {}, {}
         truth = known = None
         if problem.truth is not None and "position" in problem.truth.fields:

@@ -1,8 +1,8 @@
 """The work behind ``kedge study`` and ``kedge merge``: filters over a scenario's runs."""
 
+import contextlib
 import json
 import re
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,12 +16,18 @@ from kedge.core.errors import ConfigError, DataError
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.reports.page import require_studio
 from kedge.reports.study_report import write_study_report
-from kedge.studies.chunks import ChunkFolder, read_study, study_digest
+from kedge.studies.chunks import (
+    ChunkFolder,
+    MemoryChunks,
+    open_study,
+    read_study,
+    study_digest,
+)
 from kedge.studies.engines import Job, check, chosen
 from kedge.studies.scores import Tally, chunks_of, unpack
 from kedge.studies.study import Trials
 
-FORMAT = 1
+FORMAT = 2
 """Of the chunks' files."""
 
 
@@ -67,34 +73,36 @@ def execute(name: str, options: Options) -> dict[str, Any]:
         check_requirements(options.require, job.filters, names)
     chunks = range(chunks_of(job.runs, job.chunk))
     mine = list(chunks) if shard is None else list(chunks)[shard[0] - 1 :: shard[1]]
-    with tempfile.TemporaryDirectory() as scratch, console_progress() as progress:
-        kept = options.out is not None
-        place = options.out if options.out is not None else Path(scratch) / "study"
-        folder = ChunkFolder(place, _study(job, shard), options.resume, options.force)
-        done = set(folder.done())
-        left = [number for number in mine if number not in done]
+    with contextlib.ExitStack() as stack:
+        progress = stack.enter_context(console_progress())
+        folder = MemoryChunks()
+        if options.out is not None:
+            opening = open_study(options.out, _study(job, shard), options.resume, options.force)
+            folder = stack.enter_context(opening)
+        done, faults = folder.survey()
+        for fault in faults:
+            progress(f"{fault}; it is computed again")
+        remaining = [number for number in mine if number not in done]
         if done:
-            progress(f"{len(mine) - len(left)} of {len(mine)} chunks are there already")
-        if left:
+            progress(f"{len(mine) - len(remaining)} of {len(mine)} chunks are there already")
+        if remaining:
             check(job, progress)
         try:
-            for count, (number, arrays) in enumerate(engine(job, left, progress), 1):
+            for count, (number, arrays) in enumerate(engine(job, remaining, progress), 1):
                 folder.save(number, arrays)
-                progress(f"{len(mine) - len(left) + count} of {len(mine)} chunks done")
+                progress(f"{len(mine) - len(remaining) + count} of {len(mine)} chunks done")
         except KeyboardInterrupt:
-            there = len(set(folder.done()) & set(mine)) if kept else 0
-            kept_text = f"{there} of {len(mine)} chunks are kept in {place}; --resume goes on"
-            raise Interrupted(kept_text if there else "nothing is kept") from None
-        if shard is not None:
+            raise Interrupted(_kept(folder, mine, options)) from None
+        if isinstance(folder, ChunkFolder) and shard is not None:
             return {
                 "command": "study",
                 "shard": list(shard),
                 "chunks": mine,
                 "of": len(chunks),
-                "digest": study_digest(folder.study),
+                "digest": folder.digest,
                 "filters": {},
             }
-        return finish(job, folder, progress if kept and options.report else None)
+        return finish(job, folder, progress if options.out and options.report else None)
 
 
 def merge(
@@ -117,9 +125,15 @@ def merge(
                 "expected shards of one study"
             )
     job = _job_of(first, sources[0])
-    folder = ChunkFolder(out, _study(job, None), resume, force)
-    shards = [ChunkFolder(source, study, resume=True) for source, study in studies.items()]
-    there = {number: shard for shard in shards for number in shard.done()}
+    there: dict[int, ChunkFolder] = {}
+    for source, study in studies.items():
+        shard_folder = ChunkFolder(source, study)
+        done, faults = shard_folder.survey()
+        if faults:
+            raise DataError(
+                f"{faults[0]}; compute it again first (kedge study ... --out {source} --resume)"
+            )
+        there |= dict.fromkeys(done, shard_folder)
     whole = range(chunks_of(job.runs, job.chunk))
     if missing := [number for number in whole if number not in there]:
         raise DataError(
@@ -127,14 +141,15 @@ def merge(
             f"{', '.join(map(str, missing[:10]))}{' and more' * (len(missing) > 10)}; "
             "finish the shards first (kedge study ... --shard i/n --resume)"
         )
-    for number in whole:
-        folder.save(number, there[number].load(number))
-    with console_progress() as progress:
-        return finish(job, folder, progress if report else None)
+    with open_study(out, _study(job, None), resume, force) as folder:
+        for number in whole:
+            folder.write(number, there[number].read(number))
+        with console_progress() as progress:
+            return finish(job, folder, progress if report else None)
 
 
 def finish(
-    job: Job, folder: ChunkFolder, reporting: Callable[[str], None] | None
+    job: Job, chunks: ChunkFolder | MemoryChunks, reporting: Callable[[str], None] | None
 ) -> dict[str, Any]:
     """Add up the chunks in their order, and write the results beside them.
 
@@ -142,15 +157,15 @@ def finish(
     """
     tally, setting = Tally(job.filters), job.setting()
     for number in range(chunks_of(job.runs, job.chunk)):
-        tally.add(unpack(folder.load(number), job.filters))
+        tally.add(unpack(chunks.load(number), job.filters))
     results, study = tally.results(), job.study(setting)
     summary = summary_of(setting, study, results, job.runs)
-    with tempfile.TemporaryDirectory(dir=folder.path, prefix=".results-") as draft:
-        write_study(Path(draft), summary, results)
-        if reporting is not None:
-            reporting("drawing the report")
-            write_study_report(Path(draft), content_of(study, tally, summary))
-        folder.publish(Path(draft))
+    if isinstance(chunks, ChunkFolder):
+        with chunks.publishing() as draft:
+            write_study(draft, summary, results)
+            if reporting is not None:
+                reporting("drawing the report")
+                write_study_report(draft, content_of(study, tally, summary))
     return summary
 
 
@@ -186,6 +201,15 @@ def _job(name: str, options: Options) -> Job:
     )
     Trials(job.study(setting), {n: about.filter_of(n) for n in names}, job.runs, job.chunk)
     return job._replace(chunk=min(job.chunk, job.runs))
+
+
+def _kept(folder: ChunkFolder | MemoryChunks, mine: Sequence[int], options: Options) -> str:
+    """What an interrupted study leaves."""
+    if options.force and not folder.kept:
+        return f"nothing new is kept; {options.out} holds what it held"
+    kept = len(set(folder.survey()[0]) & set(mine)) if folder.kept else 0
+    text = f"{kept} of {len(mine)} chunks are kept in {options.out}; --resume goes on"
+    return text if kept else "nothing is kept"
 
 
 def _study(job: Job, shard: tuple[int, int] | None) -> dict[str, Any]:

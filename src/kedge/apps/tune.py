@@ -15,8 +15,8 @@ from kedge.core.errors import ConfigError, DataError
 from kedge.estimation.batch import estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.evaluation.score import score
-from kedge.formats.atomic import fresh_folder
 from kedge.formats.results import as_toml, plain, write_summary
+from kedge.formats.results_folder import results_folder
 from kedge.reports.style import save_png, svg_of
 from kedge.reports.tuning_report import draw_profiles, parameter_rows, part_scores
 from kedge.tuning.loss import ungated
@@ -70,7 +70,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
     search = Search(options.starts, options.span, bounds, options.seed)
     duration = float(problem.recording.log.schedule.time[-1])
     until = duration * (1 - options.hold_out)
-    with fresh_folder(out, "tune.json") as folder, console_progress() as progress:
+    with results_folder(out, "tune") as folder, console_progress() as progress:
         truth = problem.truth if options.with_truth else None
         tuned = tune(
             filter, problem.rig, problem.recording, chosen, truth, until, search, progress

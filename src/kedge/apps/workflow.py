@@ -23,8 +23,8 @@ from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.compiled import compiler
 from kedge.estimation.smoother import compile_smoother
 from kedge.evaluation.score import Run, in_the_map, score
-from kedge.formats.atomic import fresh_folder
 from kedge.formats.results import as_toml, digest, plain
+from kedge.formats.results_folder import results_folder
 from kedge.reports.findings import principal, said, warnings
 from kedge.reports.report import ReportContent, write_report
 
@@ -63,7 +63,7 @@ def execute(
         KedgeError: a filter cannot run, or the folder cannot be written; nothing is left.
     """
     use_compilation_cache()
-    with fresh_folder(out, "summary.json") as folder, console_progress() as progress:
+    with results_folder(out, "estimate") as folder, console_progress() as progress:
         runs = run_filters(problem, names, seed, progress)
         facts = {
             "command": command,

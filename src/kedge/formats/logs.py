@@ -17,7 +17,7 @@ from pydantic import model_validator
 
 from kedge.core.errors import DataError
 from kedge.core.registry import readers, unknown
-from kedge.formats.atomic import fresh_folder
+from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
     NotFinite,
     Table,

@@ -4,7 +4,6 @@ Stamps are int64 nanoseconds here and decimal seconds in the file. They never pa
 float, which at today's Unix time resolves 240 ns.
 """
 
-import contextlib
 import os
 from decimal import Decimal
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError
+from kedge.formats.atomic import replace_file
 
 COLUMNS = "timestamp tx ty tz qx qy qz qw"
 
@@ -71,7 +71,7 @@ def write_tum(
     lines = [f"# {COLUMNS}"]
     for stamp, pose in zip(time.tolist(), poses.tolist(), strict=True):
         lines.append(" ".join([_seconds(stamp), *map(repr, pose)]))
-    _replace(Path(path), "\n".join(lines) + "\n")
+    replace_file(Path(path), ("\n".join(lines) + "\n").encode())
 
 
 def read_tum(path: str | os.PathLike[str]) -> TumPoses:
@@ -139,15 +139,3 @@ def _parsed(fields: list[str]) -> tuple[int, list[float]]:
 def _seconds(stamp: int) -> str:
     whole, rest = divmod(abs(stamp), 1_000_000_000)
     return f"{'-' if stamp < 0 else ''}{whole}.{rest:09d}"
-
-
-def _replace(path: Path, text: str) -> None:
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        draft.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(draft, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
