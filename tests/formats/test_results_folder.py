@@ -182,26 +182,35 @@ KILLED = """
 import os, shutil, sys
 from pathlib import Path
 from kedge.formats import atomic, results_folder
-remaining = int(sys.argv[2])
+
 def counted(call):
-    def run(*a, **k):
+    def run(*arguments, **more):
         global remaining
         remaining -= 1
         if remaining < 0:
             os._exit(9)
-        return call(*a, **k)
+        return call(*arguments, **more)
     return run
-for name in ("rename", "replace", "unlink", "rmdir", "mkdir"):
-    setattr(os, name, counted(getattr(os, name)))
-    setattr(Path, name, counted(getattr(Path, name)))
-shutil.rmtree = counted(shutil.rmtree)
-os.fsync = counted(os.fsync)
-atomic.exchange = counted(atomic.exchange)
-with results_folder.results_folder(sys.argv[1], "estimate") as draft:
-    for name in ("summary.json", "fresh.csv"):
-        (draft / name).write_text("2")
-    (draft / "figures").mkdir()
-    (draft / "figures" / "b.svg").write_text("2")
+
+def work(folder):
+    for name in ("rename", "replace", "unlink", "rmdir", "mkdir"):
+        setattr(os, name, counted(getattr(os, name)))
+        setattr(Path, name, counted(getattr(Path, name)))
+    shutil.rmtree = counted(shutil.rmtree)
+    os.fsync = counted(os.fsync)
+    atomic.exchange = counted(atomic.exchange)
+    with results_folder.results_folder(folder, "estimate") as draft:
+        for name in ("summary.json", "fresh.csv"):
+            (draft / name).write_text("2")
+        (draft / "figures").mkdir()
+        (draft / "figures" / "b.svg").write_text("2")
+
+for remaining, folder in enumerate(sys.argv[1:]):
+    child = os.fork()
+    if child == 0:
+        work(folder)
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
@@ -211,44 +220,30 @@ def test_a_kill_at_each_step(tmp_path, foreign):
     old = {"summary.json": "1", "old.csv": "1", "figures/a.svg": "1"}
     new = {"summary.json": "2", "fresh.csv": "2", "figures/b.svg": "2"}
     mine = {"notes": "mine", "figures/mine": "mine"} if foreign else {}
-    seen = set()
-    for step in range(200):
-        out = tmp_path / str(step) / "out"
+    folders = [tmp_path / str(step) / "out" for step in range(60)]
+    for out in folders:
         with open_results(out, "estimate") as draft:
             (draft / "figures").mkdir()
             for name, text in old.items():
                 (draft / name).write_text(text)
         for name, text in mine.items():
             (out / name).write_text(text)
-        killed = fork(KILLED, out, step)
+    command = [sys.executable, "-c", KILLED, *map(str, folders)]
+    codes = subprocess.run(command, stdout=-1, text=True, check=True).stdout.split()
+    steps = codes.count("9")
+    assert codes == ["9"] * steps + ["0"] * (len(codes) - steps)
+    assert 10 < steps < len(codes)
+    seen = []
+    for out in folders:
         assert mine.items() <= tree(out).items()  # never away, not even for a moment
         with contextlib.suppress(ZeroDivisionError), open_results(out, "estimate"):
             raise ZeroDivisionError
-        found = tree(out.parent)
-        assert found in [{f"out/{k}": v for k, v in (r | mine).items()} for r in (old, new)]
+        files = tree(out.parent)
+        assert files in [{f"out/{k}": v for k, v in (r | mine).items()} for r in (old, new)]
         assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
-        seen.add(found["out/summary.json"])
-        if not killed:
-            break
-    else:
-        pytest.fail("there is no end of steps")
-    assert step > 10
-    assert seen == {"1", "2"}
-
-
-def fork(program, *arguments):
-    """Run a program in a copy of this process, which has all imported: was it killed."""
-    child = os.fork()
-    if child == 0:
-        try:
-            sys.argv = ["", *map(str, arguments)]
-            exec(program, {})
-            os._exit(0)
-        except BaseException:
-            os._exit(1)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code in (0, 9)
-    return code == 9
+        seen.append(files["out/summary.json"])
+    assert seen == sorted(seen)
+    assert set(seen) == {"1", "2"}
 
 
 def test_files_are_replaced_whole_and_what_a_kill_left_is_swept(tmp_path):
