@@ -144,7 +144,7 @@ def run(arguments: list[str], kill_after: float | None = None) -> tuple[int, flo
 
 
 def result(out: Path) -> str:
-    """What a folder holds, as text: figures that pin it, after a look at every file's digest."""
+    """What a folder holds, as figures that pin it, and whether every file is as written."""
     mark = read_mark(out)
     if mark is None:
         return ""
