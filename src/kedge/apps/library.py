@@ -15,7 +15,7 @@ from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
 from kedge.estimation.views import pandas_module
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.formats.atomic import fresh_folder
+from kedge.formats.results_folder import results_folder
 from kedge.reports.study_report import write_study_report
 from kedge.studies.engines import study_of
 from kedge.studies.scores import Result, Tally
@@ -73,7 +73,7 @@ class StudyResults:
             KedgeError: something else is in the folder, or matplotlib or jinja2 is not
                 installed.
         """
-        with fresh_folder(Path(folder), "summary.json") as draft:
+        with results_folder(folder, "report") as draft:
             write_study(draft, self.summary, self.results)
             page = write_study_report(draft, content_of(self.study, self.tally, self.summary))
         return Path(folder) / page.name

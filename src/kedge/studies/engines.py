@@ -4,11 +4,15 @@ Each engine gives back chunks as they come, as named arrays; which engine it was
 order they came, changes no number.
 """
 
+import asyncio
+import contextlib
 import functools
+import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,12 +159,15 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
             f"--engine dask needs {error.name}, which is not installed; "
             "install it with: pip install 'kedge-nav[distributed]'"
         ) from error
+    # What becomes of a connection is told below, once; its log has a traceback for each step.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
+        asyncio.run(asyncio.wait_for(_answer(scheduler), ANSWER))
         client: Any = distributed.Client(scheduler, timeout=ANSWER, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+    except Exception as error:  # who knows what listens there, and what it says
         raise ConfigError(
-            f"--scheduler {scheduler}: found no answer within {ANSWER:g} s, expected a running "
-            "Dask scheduler such as tcp://127.0.0.1:8786"
+            f"--scheduler {scheduler}: found no answer of one within {ANSWER:g} s, expected a "
+            "running Dask scheduler such as tcp://127.0.0.1:8786"
         ) from error
     with client:
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
@@ -177,8 +184,21 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
             raise KedgeError(
                 f"--engine dask: workers ended again and again before a chunk was done: {error}"
             ) from error
+        except (CancelledError, OSError) as error:
+            raise KedgeError(
+                f"--scheduler {scheduler}: the connection was lost, {len(tasks)} chunks were not "
+                "done; --resume goes on with those that were"
+            ) from error
         finally:
-            client.cancel(list(tasks))
+            with contextlib.suppress(CancelledError, OSError):
+                client.cancel(list(tasks))
+
+
+async def _answer(scheduler: str) -> None:
+    """See that somebody there speaks as Dask does; its client alone would wait for long."""
+    from distributed.comm import connect
+
+    await (await connect(scheduler, timeout=ANSWER)).close()
 
 
 def chosen(
