@@ -186,8 +186,8 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
             ) from error
         except (CancelledError, OSError) as error:
             raise KedgeError(
-                f"--scheduler {scheduler}: the connection was lost, {len(tasks)} chunks were not "
-                "done; --resume goes on with those that were"
+                f"--scheduler {scheduler}: the connection was lost, {len(tasks)} chunks are "
+                "not done; --resume goes on with those that are"
             ) from error
         finally:
             with contextlib.suppress(CancelledError, OSError):
