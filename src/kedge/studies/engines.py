@@ -196,7 +196,7 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
 
 async def _answer(scheduler: str) -> None:
     """See that somebody there speaks as Dask does; its client alone would wait for long."""
-    from distributed.comm import connect
+    from distributed.comm.core import connect
 
     await (await connect(scheduler, timeout=ANSWER)).close()
 
