@@ -3,6 +3,9 @@ from kedge.filters.ensemble.enkf_n import FiniteSizeEnsembleKalman as EnkfN
 from kedge.filters.ensemble.etkf import EnsembleTransformKalman as Etkf
 from kedge.filters.ensemble.serial_enkf import SerialEnsembleKalman as SerialEnkf
 from kedge.filters.ensemble.stochastic import EnsembleKalman as Ensemble
+from kedge.filters.gaussian.additive_unscented import (
+    AdditiveUnscentedKalman as AdditiveUnscented,
+)
 from kedge.filters.gaussian.cubature import CubatureKalman as Cubature
 from kedge.filters.gaussian.dead_reckoning import DeadReckoning as DeadReckoning
 from kedge.filters.gaussian.extended import ExtendedKalman as Extended
@@ -31,6 +34,7 @@ from kedge.positioning.snapshot import Snapshot as Fix
 
 __all__ = [
     "Adaptive",
+    "AdditiveUnscented",
     "Auxiliary",
     "Cubature",
     "DeadReckoning",

@@ -231,13 +231,21 @@ class SigmaPoints(AbstractPropagation):
         arguments: tuple[Array, ...] = (errors,)
         if noise_std is not None:
             arguments += (points[:, size:] * noise_std[None],)
-        images = jax.vmap(function)(*arguments)
-        values = space(images)
-        centre = jax.tree.map(lambda leaf: leaf[0], images)
-        # A model may compute in another precision than the belief has.
-        offsets = jax.vmap(values.boxminus, (0, None))(images, centre).astype(root.dtype)
-        shift = jnp.asarray(rule.mean_weights, root.dtype) @ offsets
-        return rule, values.boxplus(centre, shift), errors, offsets - shift[None]
+        mean, spread = weighted_images(rule, function, *arguments)
+        return rule, mean, errors, spread
+
+
+def weighted_images(
+    rule: Rule, function: Function, *arguments: Float[Array, "k n"]
+) -> tuple[Any, Float[Array, "k m"]]:
+    """The mean of a rule's points seen through a function, and each one's deviation from it."""
+    images = jax.vmap(function)(*arguments)
+    values, dtype = space(images), arguments[0].dtype
+    centre = jax.tree.map(lambda leaf: leaf[0], images)
+    # A model may compute in another precision than the belief has.
+    offsets = jax.vmap(values.boxminus, (0, None))(images, centre).astype(dtype)
+    shift = jnp.asarray(rule.mean_weights, dtype) @ offsets
+    return values.boxplus(centre, shift), offsets - shift[None]
 
 
 def _definite(

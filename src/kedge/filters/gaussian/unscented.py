@@ -23,6 +23,11 @@ class UnscentedKalman(AbstractMomentFilter):
     the scaled form; their centre weight is about -1e6. A covariance that negative weights make
     indefinite is repaired, and the next innovation says how many pivots had to be lifted.
 
+    The noise of a step is among the variables that the points span, and each update draws new
+    ones from the prediction. Textbooks that add the covariance of the noise instead, or keep
+    the propagated points for the update, get other figures, from the third digit on, where a
+    model is nonlinear: those of the filter "additive-unscented".
+
     Source: S. Julier and J. Uhlmann, "Unscented filtering and nonlinear estimation", Proc.
     IEEE 92(3), 2004; E. Wan and R. van der Merwe, "The unscented Kalman filter for nonlinear
     estimation", AS-SPCC, 2000.
