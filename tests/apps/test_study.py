@@ -49,20 +49,17 @@ def test_it_prints_scores_beside_what_was_published(buoy, kedge, tmp_path):
     assert sorted(path.name for path in out.iterdir()) == [
         "chunks", "kedge.json", "runs.csv", "study.json", "summary.json", "table.csv"
     ]  # fmt: skip
-    table = printed.splitlines()
-    assert table[0] == "a buoy: 3 runs, seed 0"
-    assert "published" in table[1]
-    assert table[2].startswith("kalman")
-    assert " 0.5 " in table[2]
-    assert "published: nowhere" in printed
-    assert "as expected: kalman.rmse.position" in printed
-    assert "claim: readings make it worse (a letter)" in printed
-    assert "  false: kalman / dead-reckoning: score ratio" in printed
-    assert "kalman: compiling" in err
-
     summary = json.loads((out / "summary.json").read_text())
     assert summary["runs"] == 3
     found = summary["filters"]["kalman"]
+    # One line a filter: its name, its score, and what was published.
+    (line,) = (line.split() for line in printed.splitlines() if line.startswith("kalman "))
+    assert any(float(word) == pytest.approx(found["score"], rel=0.01)
+               for word in line[1:] if word.replace(".", "").isdigit())  # fmt: skip
+    assert "0.5" in line
+    for words in ("a buoy", "nowhere", "kalman.rmse.position", "readings make it worse",
+                  "a letter", "false"):  # fmt: skip
+        assert words in printed
     assert found["score"] == found["rmse"]["position"] < 1
     assert list(found["windows"]) == ["late", "else"]
     assert summary["claims"][0]["verdict"] == "false"
