@@ -151,6 +151,7 @@ def test_known_operands_are_computed_as_the_machine_does(kind):
         for a, b in itertools.permutations(numbers, 2):
             out += [a + b, a - b, a * b, a & b, a | b, a ^ b, -a, ~a, lax.max(a, b), a < b]
             out += [lax.div(a, three), lax.rem(a, three), lax.sign(a), lax.square(a), abs(a)]
+            out += [lax.max(-a, b), ~a < b, -a <= b, lax.square(a) > b]
             out += [lax.shift_left(a, three), lax.shift_right_logical(a, b)]
             out += [lax.convert_element_type(a, t) for t in ("float64", "int8", "uint64")]
         return out

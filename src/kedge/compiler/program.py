@@ -66,8 +66,8 @@ class Program(NamedTuple):
     """Results that are arguments as they came: number of the result to that of the argument."""
     places: list[int]
     """Numbers of the other results, in the order of ``outputs``."""
-    ends: dict[int, int]
-    """Results that are what the last event leaves: number of the result to that among what is
+    ends: dict[int, slice]
+    """Results that are what the last event leaves: number of the result to its part of what is
     carried. What no event changes is not carried, and no result."""
 
 
@@ -139,7 +139,7 @@ def _loop(
     own = _varying(inside, consts, start, inputs) if batched else [False] * count
     once, body = graph.root, graph.loop()
     carried: list[Node] = []
-    symbols = []
+    symbols, parts = [], []
     for array, differs in zip(start, own, strict=True):
         nodes = []
         for first in array.flat:
@@ -147,6 +147,7 @@ def _loop(
             nodes.append(node)
             carried.append(node)
         symbols.append(filled(nodes, array.shape))
+        parts.append(slice(len(carried) - array.size, len(carried)))
     event = graph.make("event", "i8")
     rows = [v.row(functions, event) for v in inputs]
     consts_of = params["jaxpr"].consts
@@ -164,7 +165,7 @@ def _loop(
         if atom not in results:
             continue
         if results[atom] < count:
-            ends[place] = results[atom]
+            ends[place] = parts[results[atom]]
             continue
         array = interpreter.nodes(found[results[atom]])
         kind = kind_of(loop.outvars[results[atom]].aval.dtype)

@@ -36,8 +36,8 @@ many of them it takes to pay does not depend on how many lines there are.
 """
 
 Keep = Callable[[Estimates], Any] | None
-Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], int, bool]
-"""What a program hangs on: the structure of its arguments, their shapes and types, how many of
+Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], tuple[bool, ...], bool]
+"""What a program hangs on: the structure of its arguments, their shapes and types, which of
 them are the log's, and whether the history is kept."""
 
 
@@ -210,11 +210,17 @@ def native_pass(
         raise Unsupported("a log without events")
     leaves, structure = jax.tree.flatten((filter, rig, log))
     flags = None if own is None else tuple(jax.tree.leaves(own))
-    of_log = len(jax.tree.leaves(log))
+    model, rows = (
+        jax.tree.map(lambda _: False, (filter, rig)),
+        jax.tree.map(lambda _: True, log),
+    )
+    of_log = tuple(jax.tree.leaves((model, rows)))
     shapes = []
-    for number, leaf in enumerate(leaves):
-        shape = leaf.shape[1:] if flags is not None and flags[number] else leaf.shape
-        if number >= len(leaves) - of_log:
+    for leaf, is_log, has_runs in zip(
+        leaves, of_log, flags or [False] * len(leaves), strict=True
+    ):
+        shape = leaf.shape[1:] if has_runs else leaf.shape
+        if is_log:
             shape = (min(shape[0], ROWS), *shape[1:])
         shapes.append((shape, str(leaf.dtype)))
     form = structure, tuple(shapes), of_log, history
@@ -237,10 +243,9 @@ def _traced(form: Form) -> Traced:
 
     make: Any = jax.make_jaxpr(program, return_shape=True)
     jaxpr, results = make(arrays, jr.key(0))
-    first = len(shapes) - of_log
     arguments = [
-        Argument(kind_of(dtype), shape, False, number >= first and shape[0] > 0)
-        for number, (shape, dtype) in enumerate(shapes)
+        Argument(kind_of(dtype), shape, False, is_log and shape[0] > 0)
+        for (shape, dtype), is_log in zip(shapes, of_log, strict=True)
     ]
     return Traced(jaxpr, arguments, results)
 

@@ -1,21 +1,18 @@
 """One event at a time by the machine code of a pass, over memory that stays where it is."""
 
-import math
 from typing import Any
 
 import jax
 import numpy as np
 
 from kedge.compiler.algebra import TYPES
-from kedge.compiler.kernel import prepared
-from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
 from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.delayed import Event, State
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Rig
-from kedge.estimation.step import Outcome, Standing
+from kedge.estimation.step import Standing
 
 NO_EVENT = -1
 
@@ -64,42 +61,38 @@ class Program:
     """The compiled step with its memory."""
 
     def __init__(self, compiled: Any, filter: AbstractFilter, rig: Rig, log: Log):
-        self._log = log
         kernel = compiled.kernel
         self._call = kernel.code.call
-        fixed = jax.tree.leaves((filter, rig))
-        kinds = [argument.kind for argument in compiled.arguments]
-        self._arrays = [
-            prepared(leaf, kind) for leaf, kind in zip(fixed, kinds, strict=False)
-        ] + jax.tree.leaves(log)
+        leaves, structure = jax.tree.flatten((filter, rig, log))
+        *self._arrays, key = compiled.arrays(leaves)
         self._carry = kernel.carry(1)
         self._outputs = kernel.fresh(1, 1)
         self._block = kernel.block(
-            [*self._arrays, None], self._outputs, self._carry, 1, 0, 1, anew=False
+            [*self._arrays, key], self._outputs, self._carry, 1, 0, 1, anew=False
         )
         self._address = self._block.ctypes.data
-        self._controls = jax.tree.leaves(log.controls)
+        # The memory that the code reads, by the log's names.
+        *_, self._log = jax.tree.unflatten(structure, self._arrays)
+        self._controls = jax.tree.leaves(self._log.controls)
         self._held: Any = None
-        self._readings = [jax.tree.leaves(readings) for readings in log.readings]
-        # Where each result lies: a view of the memory, or an argument as it came.
-        flat: list[Any] = [None] * compiled.results.num_leaves
-        for place, number in kernel.passed.items():
-            flat[place] = self._arrays[number]
-        for place, output in zip(kernel.places, self._outputs, strict=True):
-            flat[place] = output.reshape(output.shape[2:-1])
-        estimates, self._history, left = compiled.results.children()
-        _, moments, _ = estimates.children()
-        begin = 1 + moments.num_leaves
-        self._mean, _ = moments.children()
-        self._moments = flat[1:begin]
-        self._outcome = flat[begin : estimates.num_leaves]
-        self._past = flat[estimates.num_leaves : -left.num_leaves]
-        # What no event changes is not carried: it stays as it was in the standing.
-        first = compiled.results.num_leaves - left.num_leaves
+        self._readings = [jax.tree.leaves(readings) for readings in self._log.readings]
+        # What it leaves there: views of the memory it writes, or arguments as they came.
+        views = [output.reshape(output.shape[2:-1]) for output in self._outputs]
+        estimates, history, _ = compiled.tree(self._arrays, views)
+        results = estimates.moments, estimates.outcome, history
+        self._results, self._form = jax.tree.flatten(results)
+        # And the words of what it carries, in the order of leaves; no words for what no event
+        # changes: that stays as it was.
+        numbers = jax.tree.unflatten(compiled.results, range(compiled.results.num_leaves))
+        self._words = [kernel.ends.get(number) for number in jax.tree.leaves(numbers[-1])]
         self._kinds = kernel.carried
-        self._carried = [place - first for place in sorted(kernel.ends, key=kernel.ends.get)]
-        self._parts: list[tuple[int, slice, tuple[int, ...], str]] | None = None
-        self._shape: Any = None
+        standing, *_ = numbers[-1]
+        numbers, self._shape = jax.tree.flatten(standing)
+        self._changed = [
+            (place, kernel.ends[number], self._kinds[kernel.ends[number].start])
+            for place, number in enumerate(numbers)
+            if number in kernel.ends
+        ]
 
     def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any]:
         """The event done in the memory, and copies of what it left there."""
@@ -117,46 +110,36 @@ class Program:
             for there, value in zip(place, jax.tree.leaves(reading), strict=True):
                 there[0] = value
         carry = self._carry[0]
-        carry[:] = self._packed(state) if state.words is None else state.words
+        carry[:] = self._packed(_carried(state)) if state.words is None else state.words
         self._call(self._address)
         words = carry.copy()
-        standing = self._standing(state.standing, words)
+        standing = self._unpacked(state.standing, words)
         moves = state.moves + (event.time > state.time)
         takes = state.takes + (reading is not None)
         control = state.control if event.control is None else event.control
         after = State(standing, event.time, control, moves, takes, words)
-        *mean, cov = [view.copy() for view in self._moments]
-        moments = Gaussian(self._mean.unflatten(mean), cov)
-        outcome = Outcome(*[view.copy() for view in self._outcome])
-        past = self._history.unflatten([view.copy() for view in self._past])
-        return after, moments, outcome, past
+        return after, *self._form.unflatten([view.copy() for view in self._results])
 
-    def _packed(self, state: State) -> np.ndarray:
-        numbers = [*jax.tree.leaves(state.standing), state.time, state.moves, state.takes]
-        parts = []
-        for number in (numbers[place] for place in self._carried):
-            array = np.asarray(number).ravel()
-            is_float = array.dtype.kind == "f"
-            wide = array.astype(np.float64 if is_float else np.int64)
-            parts.append(wide.view(np.int64))
-        return np.concatenate(parts)
+    def _packed(self, carried: Any) -> np.ndarray:
+        words = np.empty(len(self._kinds), np.int64)
+        for leaf, part in zip(jax.tree.leaves(carried), self._words, strict=True):
+            if part is not None:
+                array = np.asarray(leaf).ravel()
+                wide = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
+                words[part] = wide.view(np.int64)
+        return words
 
-    def _standing(self, like: Standing, words: np.ndarray) -> Standing:
-        if self._parts is None:
-            leaves, self._shape = jax.tree.flatten(like)
-            self._parts, begin = [], 0
-            for place in self._carried:
-                if place >= len(leaves):  # not of the standing
-                    break
-                shape = np.shape(leaves[place])
-                end = begin + math.prod(shape)
-                self._parts.append((place, slice(begin, end), shape, self._kinds[begin]))
-                begin = end
+    def _unpacked(self, like: Standing, words: np.ndarray) -> Standing:
         leaves, numbers = self._shape.flatten_up_to(like), words.view(np.float64)
-        for place, cut, shape, kind in self._parts:
-            found = numbers[cut] if kind == "f8" else words[cut].astype(TYPES[kind])
-            leaves[place] = found.reshape(shape)
+        for place, part, kind in self._changed:
+            array = numbers[part] if kind == "f8" else words[part].astype(TYPES[kind])
+            leaves[place] = array.reshape(leaves[place].shape)
         return self._shape.unflatten(leaves)
+
+
+def _carried(state: State) -> tuple[Any, ...]:
+    """As the traced pass carries it from event to event."""
+    return state.standing, state.time, state.moves, state.takes
 
 
 def _blank(measures: Any, with_cov: bool) -> Readings:
