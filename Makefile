@@ -62,6 +62,10 @@ lint: .venv/.dev ## format, lint, types, layers
 .PHONY: check
 check: lint test ## all that a change must pass: lint, then the fast tests
 
+.PHONY: docs
+docs: .venv/.docs ## the documentation's site, without a warning: build/site/index.html
+	$(BIN)/sphinx-build -W --keep-going -q -d build/doctrees docs build/site
+
 .PHONY: bench
 bench: .venv/.dev .venv/.rivals ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
 	BENCH=$(BENCH) $(BIN)/pytest benchmarks $(ARGS)
@@ -122,6 +126,10 @@ endef
 .venv/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(call install,$(EXTRAS))
 	@touch $@ .venv/.studio
+
+.venv/.docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(call install,docs)
+	@touch $@
 
 .venv/.rivals: pyproject.toml constraints.txt | .venv/.dev
 	$(call install,rivals)

@@ -95,7 +95,6 @@ def used(folders: tuple[str, ...]) -> set[str]:
 
 # What others load by its own name: a plug-in of pytest, the back end that pip builds with.
 BY_NAME = {"pytest-xdist": "-n $(JOBS)"}
-SOON = {"pandas"}  # estimates as a table
 
 
 @pytest.mark.parametrize(
@@ -110,7 +109,7 @@ SOON = {"pandas"}  # estimates as a table
         )
         for extra, needs in EXTRAS.items()
         for need in needs
-        if name(need) not in {"kedge-nav", *SOON}
+        if name(need) != "kedge-nav"
     ],
 )
 def test_each_dependency_is_used(need, folders):
