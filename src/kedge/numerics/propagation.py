@@ -236,7 +236,7 @@ class SigmaPoints(AbstractPropagation):
 
 
 def weighted_images(
-    rule: Rule, function: Function, *arguments: Float[Array, "k n"]
+    rule: Rule, function: Function, *arguments: Float[Array, "k _"]
 ) -> tuple[Any, Float[Array, "k m"]]:
     """The mean of a rule's points seen through a function, and each one's deviation from it."""
     images = jax.vmap(function)(*arguments)
