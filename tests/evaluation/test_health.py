@@ -1,5 +1,7 @@
 """Health: repairs, depletion and recoveries are counted and said, never silent."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,10 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.batch import Estimates, estimate
-from kedge.estimation.log import Log, Readings, Schedule
+from kedge.estimation.log import Log, Readings, Recording, Schedule
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.health import concerns, health, smallest_eigenvalue
+from kedge.evaluation.refusals import refusals, sentences
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.gaussian.unscented import UnscentedKalman
 from kedge.filters.particle.bootstrap import BootstrapParticle
@@ -17,7 +20,7 @@ from kedge.sensors.gnss import Gnss, Measurement
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control
 
 
-def run(filter, places, std=1.0, spread=1.0, **given):
+def made(filter, places, std=1.0, spread=1.0, **given):
     vehicle = ConstantVelocity(acceleration_noise=0.1)
     sensor = Installation("gnss", Gnss(std=std), **given)
     rig = Rig(vehicle, (sensor,), Gaussian(vehicle.start(), spread * jnp.eye(4)))
@@ -27,7 +30,11 @@ def run(filter, places, std=1.0, spread=1.0, **given):
         Control(*(jnp.zeros(count) for _ in Control._fields)),
         (Readings(Measurement(np.asarray(places)), np.zeros(count, int)),),
     )
-    return estimate(filter, rig, log)
+    return estimate(filter, rig, log), rig, log
+
+
+def run(filter, places, **given):
+    return made(filter, places, **given)[0]
 
 
 def verdicts(estimates):
@@ -61,6 +68,21 @@ def test_a_recovery_is_counted():
     places = np.tile([500.0, 0.0], (8, 1))
     found = health(run(ExtendedKalman(), places, gate=0.01, recovery=4.0))
     assert found["recoveries"] == 1
+
+
+@pytest.mark.parametrize(
+    ("count", "recovery", "expected"),
+    [
+        (8, 4.0, "gps: after nothing but outliers of gnss one was let in at 5.0 s."),
+        (15, math.inf, "for 14.0 s, from 1.0 s on (the longest of 1); none was let in."),
+    ],
+)
+def test_a_sensor_that_is_locked_out_is_said(count, recovery, expected):
+    places = np.tile([500.0, 0.0], (count, 1))
+    estimates, rig, log = made(ExtendedKalman(), places, gate=0.01, recovery=recovery)
+    recording = Recording(log, 0, np.zeros(count, int), np.zeros(0, int))
+    (said,) = sentences("gps", refusals(estimates, recording, rig))
+    assert said.endswith(expected)
 
 
 def test_the_eigenvalue_is_that_of_the_correlations():

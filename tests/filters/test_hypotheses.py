@@ -73,14 +73,14 @@ def test_who_is_lost_may_face_anywhere_again():
     one = Gaussian(start, jnp.diag(jnp.array([0.04, 0.09, 0.01])))
     copies = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 4), one)
     belief = Mixture(copies, jnp.log(jnp.array([0.97, 0.01, 0.01, 0.01])))
-    anew = bank.regained(belief, 100.0)
+    anew = bank.reset(belief, 100.0)
     ahead = jnp.exp(1j * anew.components.mean.heading)
     np.testing.assert_allclose(ahead.sum(), 0.0, atol=1e-12)
     np.testing.assert_allclose(jnp.exp(anew.log_weights), 0.25)
     np.testing.assert_allclose(anew.moments().mean.position, [3.0, -2.0])
     np.testing.assert_allclose(jnp.diag(anew.moments().cov)[:2], [4.0, 9.0])
     # Also inside a filter around it.
-    inside = Robust(bank).regained(belief, 100.0)
+    inside = Robust(bank).reset(belief, 100.0)
     np.testing.assert_allclose(inside.components.mean.heading, anew.components.mean.heading)
 
 

@@ -155,7 +155,7 @@ def test_what_is_carried_is_integrated_from_the_mean(key):
         np.testing.assert_allclose(found.mean.place, before.place + 0.1 * before.speed)
         assert not found.cov[0].any()
         assert 0 < found.cov[1, 1] < 2e-3
-        assert belief.widened(4.0).moments().cov[1, 1] == pytest.approx(4 * found.cov[1, 1])
+        assert belief.inflated(4.0).moments().cov[1, 1] == pytest.approx(4 * found.cov[1, 1])
 
 
 def test_fields_that_cannot_be_carried(key):

@@ -118,7 +118,7 @@ def test_who_is_lost_keeps_his_instruments(vehicle):
     own = 3  # position and heading
     grown = np.where(np.arange(size) < own, 5.0, 1.0)
     for form in forms_of(belief):
-        before, after = form.moments(), form.widened(25.0).moments()
+        before, after = form.moments(), form.inflated(25.0).moments()
         np.testing.assert_allclose(after.cov, before.cov * np.outer(grown, grown), rtol=1e-9)
         np.testing.assert_allclose(
             space(after.mean).boxminus(after.mean, before.mean), 0.0, atol=1e-9

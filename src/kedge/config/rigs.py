@@ -102,7 +102,7 @@ class SensorConfig(Strict):
     true_parameters: dict[str, Parameter] = {}
     gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
     robust: RobustConfig | None = None
-    recovery: Positive | None = None
+    recovery: Annotated[float, Field(gt=0)] | None = None
     allowed_silence: Positive | None = None
     mount: MountConfig | None = None
     std: dict[str, str] = {}

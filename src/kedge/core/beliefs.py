@@ -23,7 +23,7 @@ def stretch(state: State, factor: Scalar) -> Scalar | Float[Array, " n"]:
     return jnp.where(jnp.array(augmented), 1.0, root) if any(augmented) else root
 
 
-def widened_cov(
+def inflated_cov(
     state: State, cov: Float[Array, "*batch n n"], factor: Scalar
 ) -> Float[Array, "*batch n n"]:
     """A covariance of errors that grew by :func:`stretch`; correlations stay."""
@@ -43,9 +43,9 @@ class Gaussian(NamedTuple):
         """Itself."""
         return self
 
-    def widened(self, factor: Scalar) -> "Gaussian":
+    def inflated(self, factor: Scalar) -> "Gaussian":
         """The same mean, the covariance times ``factor`` but for augmented states."""
-        return Gaussian(self.mean, widened_cov(self.mean, self.cov, factor))
+        return Gaussian(self.mean, inflated_cov(self.mean, self.cov, factor))
 
 
 @runtime_checkable
@@ -56,7 +56,7 @@ class Belief(Protocol):
         """Mean and covariance."""
         ...
 
-    def widened(self, factor: Scalar) -> Any:
+    def inflated(self, factor: Scalar) -> Any:
         """The same mean and ``factor`` times the covariance, but for augmented states."""
         ...
 
@@ -111,7 +111,7 @@ class Ensemble(NamedTuple):
             spreads.append(_minus(chart, column, mean))
         return type(self.columns)(*parts), jnp.concatenate(spreads)
 
-    def widened(self, factor: Scalar) -> "Ensemble":
+    def inflated(self, factor: Scalar) -> "Ensemble":
         """The anomalies multiplied as :func:`stretch` says."""
         mean, anomalies = self.centred()
         grown = jnp.broadcast_to(stretch(mean, factor), anomalies.shape[:1])
@@ -179,7 +179,7 @@ class Particles(NamedTuple):
         """Weighted mean and covariance."""
         return weighted_moments(self.states, jnp.exp(self.log_weights))
 
-    def widened(self, factor: Scalar) -> "Particles":
+    def inflated(self, factor: Scalar) -> "Particles":
         """The distances from the mean multiplied as :func:`stretch` says."""
         states = _stretched(self.states, self.moments().mean, factor)
         return self._replace(states=states, last=self.last and self.last.used())
@@ -202,9 +202,9 @@ class Mixture(NamedTuple):
         within = jnp.sum(weights[:, None, None] * self.components.cov, axis=0)
         return Gaussian(mean, within + between)
 
-    def widened(self, factor: Scalar) -> "Mixture":
+    def inflated(self, factor: Scalar) -> "Mixture":
         """Every component widened."""
-        return self._replace(components=self.components.widened(factor))
+        return self._replace(components=self.components.inflated(factor))
 
 
 def _stretched(states: State, mean: State, factor: Scalar) -> State:

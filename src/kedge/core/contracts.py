@@ -231,6 +231,8 @@ class Innovation(NamedTuple):
     effective_size: Float[Array, ""] | float = float("nan")
     """Effective number of particles after weighing, before resampling: 0 if none explains the
     reading, NaN for filters without weights."""
+    outlying: Bool[Array, ""] | bool = False
+    """Whether a gate refused the reading, or a robust loss weighed it down, as an outlier."""
     resampled: Bool[Array, ""] | bool = False
     """Whether particles were resampled."""
     repairs: Int[Array, ""] | int = 0
@@ -261,13 +263,21 @@ class AbstractFilter(eqx.Module, Generic[B]):
     ) -> tuple[B, Innovation]:
         """Condition the belief on one measurement."""
 
-    def regained(self, belief: B, factor: Scalar) -> B:
-        """The belief from which the state is looked for again, after it was found wrong.
+    def recovery_time(self) -> float:
+        """After how many s of nothing but outliers of a sensor its next reading is let in."""
+        return math.inf
+
+    def trusting(self) -> "AbstractFilter[B]":
+        """The filter for the same beliefs without its gates and robust losses."""
+        return self
+
+    def reset(self, belief: B, factor: Scalar) -> B:
+        """The belief after divergence, inflated, from which the state is looked for again.
 
         ``factor`` is by how much its covariance was too small, as far as a reading can tell.
         """
-        spread: Any = belief
-        return spread.widened(factor)
+        wrong: Any = belief
+        return wrong.inflated(factor)
 
 
 class AbstractGaussianFilter(AbstractFilter[Any]):

@@ -240,12 +240,12 @@ class Estimator:
         if event.reading is not None:
             standing, outcome = _take_in(
                 self._filter,
-                self._rig.sensors[event.rank],
+                self._rig.sensors,
+                event.rank,
                 standing,
                 event.reading,
                 jnp.asarray(event.time, float),
                 update_key,
-                self._width,
             )
         control = state.control if event.control is None else event.control
         return Entry(event, State(standing, event.time, control, moves, takes), outcome, past)

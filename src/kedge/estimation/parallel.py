@@ -166,7 +166,7 @@ def _outcomes(
         return condition(
             filter,
             rig.sensors,
-            Standing(belief, jnp.asarray(jnp.inf)),
+            Standing(belief),
             log.readings,
             event.sensor,
             event.row,

@@ -10,11 +10,14 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractSensor, AbstractVehicle, Ranging
+from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle, Ranging
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.estimation.mount import Mount as Mount
 from kedge.estimation.mount import seen_from, validation_error
+from kedge.filters.wrappers.gated import Gated
+from kedge.filters.wrappers.robust import Robust
+from kedge.filters.wrappers.wrapper import RECOVERY
 from kedge.numerics.losses import Loss
 
 
@@ -33,9 +36,8 @@ class Installation(eqx.Module):
     robust: Loss | None = None
     """How readings far from the prediction are weighed down; not at all if not given."""
     recovery: float | None = eqx.field(static=True, default=None)
-    """s after which a gate that refused everything lets readings in again: see
-    :func:`kedge.filters.wrappers.gated.regain`. Counted over all sensors that have it."""
-
+    """s of nothing but outliers, by its gate or its robust loss, after which a reading is let
+    in (:mod:`kedge.estimation.recovery`); :data:`RECOVERY` if not given, infinity is never."""
     allowed_silence: float | None = eqx.field(static=True, default=None)
     """s without a reading of it that is fused, after which the estimate counts as degraded."""
     all_targets: bool = eqx.field(static=True, default=False)
@@ -48,13 +50,21 @@ class Installation(eqx.Module):
             raise ContractError(
                 f"sensor {self.name!r}: all_targets is set, but it has no map of targets"
             )
-        if self.recovery is not None and self.gate is None:
+        if self.recovery is not None and self.gate is None and self.robust is None:
             raise ContractError(
                 f"sensor {self.name!r}: recovery is {self.recovery:g} s, but there is no gate "
-                "to recover from"
+                "or robust loss to recover from"
             )
         if not math.isfinite(self.latency):
             raise ContractError(f"sensor {self.name!r}: latency is {self.latency}, not finite")
+
+    def judged(self, filter: AbstractFilter) -> AbstractFilter:
+        """The filter with the sensor's robust loss and its gate around it."""
+        recovery = RECOVERY if self.recovery is None else self.recovery
+        if self.robust is not None:
+            loss = self.robust
+            filter = Robust(filter, loss.kind, loss.tuning, loss.side, recovery)
+        return filter if self.gate is None else Gated(filter, self.gate, recovery)
 
     def expect(self, state: Any, target: Int[Array, ""]) -> Any:
         """The noise-free measurement of one target."""

@@ -16,9 +16,8 @@ from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.reading import is_positive_definite, sight
+from kedge.estimation.recovery import Clocks, new_clocks, recover
 from kedge.estimation.rig import Installation, Rig, as_arrays
-from kedge.filters.wrappers.gated import Gated, regain
-from kedge.filters.wrappers.robust import Robust
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.random import fold_in
 
@@ -29,9 +28,8 @@ class Standing(NamedTuple):
     """What is carried from event to event."""
 
     belief: Any
-    refused_since: Float[Array, ""] | float = math.inf
-    """Time of the first refusal since one of the sensors that may recover was last fused;
-    infinite if there was none."""
+    clocks: Clocks | None = None
+    """Of the sensors' outliers; None if there is no recovery from them."""
 
 
 class Outcome(NamedTuple):
@@ -52,14 +50,17 @@ class Outcome(NamedTuple):
     resampled: Bool[Array, "*T"]
     repairs: Int[Array, "*T"]
     """Pivots of a covariance that had to be lifted to zero."""
+    outlying: Bool[Array, "*T"]
+    """Refused by a gate, or weighed down by a robust loss, as an outlier."""
     recovered: Bool[Array, "*T"]
-    """Refused by its gate, and let in since nothing else was fused for too long."""
+    """An outlier, and let in since there was nothing but outliers for too long."""
 
 
 def begin(filter: AbstractFilter, rig: Rig, key: PRNGKeyArray) -> Standing:
     """The prior as the filter's belief, with room for all that it will carry."""
     belief = filter.init(rig.prior, jr.fold_in(key, 0))
-    return Standing(with_room(filter, rig.vehicle, belief), jnp.asarray(jnp.inf))
+    belief = with_room(filter, rig.vehicle, belief)
+    return Standing(belief, new_clocks(filter, rig.sensors))
 
 
 def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) -> B:
@@ -119,45 +120,44 @@ def condition(
     def no_reading():
         return standing, silence(width)
 
-    def branch(installation, rows):
+    def branch(place, rows):
         if len(rows.target) == 0:  # it never fires, and there is no row to look at
             return no_reading
 
         def use():
             reading = jax.tree.map(lambda leaf: leaf[row], rows)
-            return take_in(filter, installation, standing, reading, time, key, width)
+            return take_in(filter, sensors, place, standing, reading, time, key)
 
         return use
 
-    branches = [no_reading, *map(branch, sensors, readings)]
+    branches = [no_reading, *(branch(i, rows) for i, rows in enumerate(readings))]
     return lax.switch(sensor + 1, branches)
 
 
 def take_in(
     filter: AbstractFilter,
-    installation: Installation,
+    sensors: Sequence[Installation],
+    place: int,
     standing: Standing,
     reading: Readings,
     time: Scalar,
     key: PRNGKeyArray,
-    width: int,
 ) -> tuple[Standing, Outcome]:
-    """Use one reading if it is fit to be used, and say what became of it."""
-    belief, since = standing
-    chosen: AbstractFilter = filter
-    if installation.robust is not None:
-        loss = installation.robust
-        chosen = Robust(chosen, loss.kind, loss.tuning, loss.side)
-    if installation.gate is not None:
-        chosen = Gated(chosen, installation.gate)
+    """Use one reading of the sensor at ``place`` if it is fit, and say what became of it."""
+    belief, clocks = standing
+    installation = sensors[place]
+    judge = installation.judged(filter)
     model, measurement = sight(installation, reading)
-    posterior, score = chosen.update(model, belief, measurement, key)
-    recovered = jnp.asarray(False)
-    if installation.recovery is not None:
-        lost = time - since >= installation.recovery
-        recovered = lost & (score.nis > score.threshold)
-        judged = posterior, score
-        posterior, score = regain(filter, model, belief, measurement, key, lost, judged)
+    posterior, score = judge.update(model, belief, measurement, key)
+    outlying = jnp.asarray(score.outlying)
+    recovered = contradicted = jnp.asarray(False)
+    if clocks is not None and math.isfinite(judge.recovery_time()):
+        due = outlying & clocks.due(place, time, judge.recovery_time())
+        posterior, score, recovered = recover(
+            filter, sensors, place, clocks, belief, (posterior, score), model, measurement,
+            time, key, due,
+        )  # fmt: skip
+        contradicted = due & ~recovered
 
     verdict = jnp.asarray(Verdict.FUSED)
 
@@ -181,13 +181,14 @@ def take_in(
     judged = fused | (verdict == Verdict.GATED) | (verdict == Verdict.DROPPED)
     # A filter that refuses says itself what it keeps: a gate may count its refusals.
     kept = jax.tree.map(lambda new, old: jnp.where(judged, new, old), posterior, belief)
-    if installation.recovery is not None:
-        refused = jnp.where(verdict == Verdict.GATED, jnp.minimum(since, time), since)
-        since = jnp.where(fused, jnp.inf, refused)
+    outlying = judged & outlying & ~recovered
+    if clocks is not None:
+        good = fused & ~outlying
+        clocks = clocks.after(place, reading.target, time, good, outlying, contradicted)
 
     size = space_of(installation.sensor.measures).size
     shown = model.present & judged
-    pad = jnp.full(width - size, jnp.nan)
+    pad = jnp.full(widest(sensors) - size, jnp.nan)
 
     def padded(values):
         return jnp.concatenate([jnp.where(shown, values, jnp.nan), pad])
@@ -207,9 +208,10 @@ def take_in(
         effective_size=known(score.effective_size),
         resampled=fused & score.resampled,
         repairs=jnp.where(judged, score.repairs, 0),
+        outlying=outlying,
         recovered=fused & recovered,
     )
-    return Standing(kept, since), outcome
+    return Standing(kept, clocks), outcome
 
 
 def silence(width: int) -> Outcome:
@@ -227,6 +229,7 @@ def silence(width: int) -> Outcome:
         effective_size=nothing,
         resampled=jnp.asarray(False),
         repairs=jnp.asarray(0),
+        outlying=jnp.asarray(False),
         recovered=jnp.asarray(False),
     )
 

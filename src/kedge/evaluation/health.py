@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
-from kedge.evaluation.silences import sentences
+from kedge.evaluation import refusals, silences
 
 LARGE = 100  # components; above it the eigenvalues of every event take too long
 
@@ -74,9 +74,5 @@ def concerns(name: str, found: dict[str, Any], verdicts: Int[np.ndarray, " T"]) 
             f"{name}: at {found['collapsed']} readings one particle carried nearly all the "
             "weight; there the estimate is that of luck."
         )
-    if found["recoveries"]:
-        said.append(
-            f"{name}: the gates were opened {found['recoveries']} times after refusing "
-            "everything for too long."
-        )
-    return said + sentences(name, found.get("silences", {}))
+    said += refusals.sentences(name, found.get("refusals", {}))
+    return said + silences.sentences(name, found.get("silences", {}))

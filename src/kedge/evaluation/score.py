@@ -20,6 +20,7 @@ from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.by_target import target_scores
 from kedge.evaluation.consistency import coverage, mean_interval, nees, singular, whiteness
 from kedge.evaluation.health import health
+from kedge.evaluation.refusals import refusals
 from kedge.evaluation.silences import silences
 from kedge.evaluation.trajectory import (
     Trajectory,
@@ -161,6 +162,8 @@ def score(
     }
     if silent := silences(estimates, recording, rig):
         scores["health"]["silences"] = silent
+    if refused := refusals(estimates, recording, rig):
+        scores["health"]["refusals"] = refused
     if beyond := clipped(recording, rig.vehicle):
         scores["health"]["clipped_controls"] = beyond
     errors = None

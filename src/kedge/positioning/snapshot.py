@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian, widened_cov
+from kedge.core.beliefs import Gaussian, inflated_cov
 from kedge.core.contracts import (
     AbstractFilter,
     AbstractMeasurementModel,
@@ -48,9 +48,9 @@ class Held(NamedTuple):
         """Mean and covariance."""
         return Gaussian(self.mean, self.cov)
 
-    def widened(self, factor: Scalar) -> "Held":
+    def inflated(self, factor: Scalar) -> "Held":
         """The same mean, the covariance times ``factor`` but for augmented states."""
-        return self._replace(cov=widened_cov(self.mean, self.cov, factor))
+        return self._replace(cov=inflated_cov(self.mean, self.cov, factor))
 
 
 @filters.add("fix")

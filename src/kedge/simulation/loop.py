@@ -19,7 +19,7 @@ from kedge.core.manifolds import space_of
 from kedge.core.quantities import Scalar
 from kedge.estimation.log import SECOND, Readings
 from kedge.estimation.rig import Installation, Rig
-from kedge.estimation.step import Standing, advance, begin, event_keys, take_in, widest
+from kedge.estimation.step import Standing, advance, begin, event_keys, take_in
 from kedge.numerics.linalg import square_root
 from kedge.simulation.faults import DrawnFault, changed
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
@@ -248,9 +248,8 @@ class _Filtered(AbstractListener):
     def heard(self, memory: _Memory, place: int, reading: Readings, time: Scalar) -> _Memory:
         standing, moves, takes = memory
         _, key = event_keys(self.key, moves, takes + 1)
-        installation, width = self.rig.sensors[place], widest(self.rig.sensors)
         standing, _ = take_in(
-            self.filter, installation, standing, reading, jnp.asarray(time), key, width
+            self.filter, self.rig.sensors, place, standing, reading, jnp.asarray(time), key
         )
         return _Memory(standing, moves, takes + 1)
 

@@ -64,6 +64,7 @@ def ungated(rig: Rig) -> tuple[Rig, Tails, list[str]]:
                 None,
                 installation.mount,
                 loss,
+                np.inf,
             )
             notes.append(
                 f"{installation.name}: judged by a Student-t with {nu:g} degrees of freedom, "

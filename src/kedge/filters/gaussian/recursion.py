@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian, widened_cov
+from kedge.core.beliefs import Gaussian, inflated_cov
 from kedge.core.contracts import (
     AbstractGaussianFilter,
     AbstractMeasurementModel,
@@ -37,9 +37,9 @@ class RepairedGaussian(NamedTuple):
         """Mean and covariance."""
         return Gaussian(self.mean, self.cov)
 
-    def widened(self, factor: Scalar) -> Any:
+    def inflated(self, factor: Scalar) -> Any:
         """The same mean, the covariance times ``factor`` but for augmented states."""
-        return self._replace(cov=widened_cov(self.mean, self.cov, factor))
+        return self._replace(cov=inflated_cov(self.mean, self.cov, factor))
 
 
 class AbstractMomentPrediction(AbstractGaussianFilter):

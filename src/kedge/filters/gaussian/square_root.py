@@ -34,7 +34,7 @@ class SqrtGaussian(NamedTuple):
         """Mean and covariance."""
         return Gaussian(self.mean, self.root @ jnp.swapaxes(self.root, -1, -2))
 
-    def widened(self, factor: Scalar) -> Any:
+    def inflated(self, factor: Scalar) -> Any:
         """The same mean, the covariance times ``factor`` but for augmented states."""
         grown = jnp.broadcast_to(stretch(self.mean, factor), self.root.shape[-1:])
         return self._replace(root=self.root * jnp.broadcast_to(grown[:, None], self.root.shape))

@@ -24,8 +24,7 @@ from kedge.core.registry import filters, unknown
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.published.linearised import CHOICES, coordinates, line_at
 from kedge.numerics.fuzzy import corners, memberships
-from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, symmetric
+from kedge.numerics.innovation import mixture_innovation
 
 Box = tuple[tuple[str, float, float], ...]
 """A component of the state, its lower and its upper end, for each side of the box."""
@@ -180,15 +179,8 @@ class FuzzyKalman(AbstractFilter[Mixture]):
             return ExtendedKalman().update(model, rule, measurement, key)
 
         rules, scores = jax.vmap(correct)(belief.components)
-        weights = jnp.exp(belief.log_weights)
-        residual = weights @ scores.residual
-        apart = scores.residual - residual[None]
-        within = jnp.sum(weights[:, None, None] * scores.cov, axis=0)
-        S = symmetric(within + apart.T @ (weights[:, None] * apart))
-        score = innovation(residual, S, cholesky(S), model.dof())
-        return belief._replace(components=rules), score._replace(
-            repairs=jnp.sum(scores.repairs)
-        )
+        score = mixture_innovation(belief.log_weights, scores, model.dof())
+        return belief._replace(components=rules), score
 
     def _rules(self, centre: Any) -> tuple[Float[Array, " rules"], Float[Array, "rules n"]]:
         """Weight of each rule, and the tangent vector from the estimate to its corner."""

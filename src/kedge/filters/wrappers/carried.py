@@ -39,9 +39,9 @@ class Carrying(eqx.Module):
         whole = whole.at[np.ix_(places, places)].set(cov)
         return Gaussian(_joined(self.cls, mean, self.rest), whole)
 
-    def widened(self, factor: Scalar) -> "Carrying":
+    def inflated(self, factor: Scalar) -> "Carrying":
         """The inner belief widened."""
-        return Carrying(self.inner.widened(factor), self.rest, self.cls)
+        return Carrying(self.inner.inflated(factor), self.rest, self.cls)
 
 
 class Carried(AbstractWrapper):
@@ -104,9 +104,9 @@ class Carried(AbstractWrapper):
         """The inner belief."""
         return belief.inner
 
-    def regained(self, belief: Carrying, factor: Scalar) -> Carrying:
+    def reset(self, belief: Carrying, factor: Scalar) -> Carrying:
         """The inner filter's; what is carried along stays."""
-        return Carrying(self.inner.regained(belief.inner, factor), belief.rest, belief.cls)
+        return Carrying(self.inner.reset(belief.inner, factor), belief.rest, belief.cls)
 
 
 def carrying(inner: AbstractFilter, fields: Sequence[str]) -> AbstractFilter:

@@ -9,12 +9,21 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
-from kedge.core.contracts import AbstractMeasurementModel, AbstractVehicle, Innovation
+from kedge.core.contracts import (
+    AbstractFilter,
+    AbstractMeasurementModel,
+    AbstractVehicle,
+    Innovation,
+)
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
-from kedge.filters.wrappers.gated import bound_of
-from kedge.filters.wrappers.wrapper import AbstractWrapper, Inflated
+from kedge.filters.wrappers.wrapper import (
+    AbstractOutlierTest,
+    AbstractWrapper,
+    Inflated,
+    bound_of,
+)
 from kedge.numerics.losses import Loss
 
 
@@ -24,20 +33,18 @@ class Counted(NamedTuple):
     belief: Any
     refused: Float[Array, ""]
     all: Float[Array, ""]
-    outside_for: Float[Array, ""]
-    """s since the first reading outside after the last one inside; -1 if there was none."""
 
     def moments(self) -> Gaussian:
         """The inner belief's."""
         return self.belief.moments()
 
-    def widened(self, factor: Scalar) -> "Counted":
+    def inflated(self, factor: Scalar) -> "Counted":
         """The inner belief widened."""
-        return self._replace(belief=self.belief.widened(factor))
+        return self._replace(belief=self.belief.inflated(factor))
 
 
 @filters.add("gate-or-student")
-class GateOrStudent(AbstractWrapper):
+class GateOrStudent(AbstractOutlierTest):
     r"""A gate where the prediction can be trusted, a Student-t where it cannot.
 
     A gate is the better of the two while the belief is right, since an outlier then moves
@@ -48,8 +55,7 @@ class GateOrStudent(AbstractWrapper):
     $\max(1, (\nu + d^2) / (\nu + m))$ instead.
 
     Neither moves a belief that is sure and far off. After ``recovery`` seconds of nothing but
-    readings outside, the covariance is multiplied by $d^2 / m$ before the next of them, as
-    :func:`kedge.filters.wrappers.gated.regain` does: what the reading says is plausible then.
+    readings outside of a sensor one is let in whole; infinity is never.
 
     ``false_alarm`` is the gate's, ``window`` is T, ``tuning`` $\nu$. What is reported is the
     innovation under the nominal noise.
@@ -64,7 +70,7 @@ class GateOrStudent(AbstractWrapper):
     share: float = eqx.field(static=True, default=0.3)
     window: Scalar = 2.0
     tuning: Scalar = 4.0
-    recovery: Scalar = 5.0
+    recovery: float = eqx.field(static=True, default=5.0)
 
     def __check_init__(self):
         for name in ("false_alarm", "share"):
@@ -73,7 +79,7 @@ class GateOrStudent(AbstractWrapper):
                 raise ContractError(
                     f"gate-or-student: {name} is {found:g}, must be between 0 and 1"
                 )
-        for name in ("window", "tuning", "recovery"):
+        for name in ("window", "tuning"):
             found = getattr(self, name)
             if isinstance(found, int | float) and not 0 < found < np.inf:
                 raise ContractError(
@@ -84,10 +90,14 @@ class GateOrStudent(AbstractWrapper):
         """Without the counts."""
         return belief.belief
 
+    def trusting(self) -> AbstractFilter:
+        """The inner filter's, which leaves the counts as they are."""
+        return _Counting(self.inner.trusting())
+
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Counted:
         """The inner filter's belief; nothing was refused yet."""
         none = jnp.asarray(0.0)
-        return Counted(self.inner.init(prior, key), none, none, jnp.asarray(-1.0))
+        return Counted(self.inner.init(prior, key), none, none)
 
     def predict(
         self,
@@ -100,8 +110,7 @@ class GateOrStudent(AbstractWrapper):
         """The inner filter's prediction; what was refused is forgotten by and by."""
         moved = self.inner.predict(vehicle, belief.belief, control, dt, key)
         kept = jnp.exp(-dt / self.window)
-        outside_for = belief.outside_for + jnp.where(belief.outside_for < 0, 0.0, dt)
-        return Counted(moved, belief.refused * kept, belief.all * kept, outside_for)
+        return Counted(moved, belief.refused * kept, belief.all * kept)
 
     def update(
         self,
@@ -112,24 +121,31 @@ class GateOrStudent(AbstractWrapper):
     ) -> tuple[Counted, Innovation]:
         """The inner filter's update, or none, or one with the noise that the residual asks."""
         _, score = self.inner.update(model, belief.belief, measurement, key)
-        own = bound_of(score, self.false_alarm)
-        outside = ~(score.nis <= own)
-        lost = outside & (belief.outside_for >= self.recovery)
-        trusted = ~lost & (belief.refused <= self.share * belief.all)
+        bound = bound_of(score, self.false_alarm)
+        outside = ~(score.nis <= bound)
+        trusted = belief.refused <= self.share * belief.all
         tails = Loss("student", self.tuning).factor(score.residual, score.cov, score.dof)
-        widening = jnp.maximum(score.nis / jnp.maximum(score.dof, 1), 1.0)
-        widening = jnp.where(lost & jnp.isfinite(widening), widening, 1.0)
-        eased = Inflated(model, jnp.where(trusted | lost, 1.0, tails))
-        anew = self.inner.regained(belief.belief, widening)
-        wide = jax.tree.map(lambda new, old: jnp.where(lost, new, old), anew, belief.belief)
-        posterior, _ = self.inner.update(eased, wide, measurement, key)
-        threshold = jnp.where(trusted, jnp.minimum(own, score.threshold), jnp.inf)
+        eased = Inflated(model, jnp.where(trusted, 1.0, tails))
+        posterior, _ = self.inner.update(eased, belief.belief, measurement, key)
+        threshold = jnp.where(trusted, jnp.minimum(bound, score.threshold), jnp.inf)
         refused = trusted & outside
         kept = jax.tree.map(
             lambda old, new: jnp.where(refused, old, new), belief.belief, posterior
         )
-        since = jnp.where(outside, jnp.maximum(belief.outside_for, 0.0), -1.0)
         outliers = belief.refused + jnp.where(outside, 1.0, 0.0)
-        counted = Counted(kept, outliers, belief.all + 1.0, jnp.where(lost, -1.0, since))
+        counted = Counted(kept, outliers, belief.all + 1.0)
         accepted = jnp.asarray(score.accepted) & ~refused
-        return counted, score._replace(accepted=accepted, threshold=threshold)
+        outlying = score.outlying | outside
+        return counted, score._replace(
+            accepted=accepted, threshold=threshold, outlying=outlying
+        )
+
+
+class _Counting(AbstractWrapper):
+    """The inner filter's updates on a belief with counts."""
+
+    def update(
+        self, model: AbstractMeasurementModel, belief: Any, measurement: Any, key: PRNGKeyArray
+    ) -> tuple[Any, Innovation]:
+        posterior, score = self.inner.update(model, belief.belief, measurement, key)
+        return belief._replace(belief=posterior), score

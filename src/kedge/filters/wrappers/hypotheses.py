@@ -23,8 +23,7 @@ from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.core.rotations import multiply
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, symmetric
+from kedge.numerics.innovation import mixture_innovation
 
 TAILS = 4.0  # degrees of freedom of the Student-t that weighs: one outlier decides nothing
 HELD = -30.0  # log weight below which no hypothesis falls, so that a change of mind is possible
@@ -84,12 +83,12 @@ class Hypotheses(AbstractFilter[Mixture]):
         components = jax.vmap(turned)(gap * jnp.arange(self.count))
         return Mixture(components, weights)
 
-    def regained(self, belief: Mixture, factor: Scalar) -> Mixture:
+    def reset(self, belief: Mixture, factor: Scalar) -> Mixture:
         """All around the circle again, from the widened moments.
 
         The hypotheses have become one on the way, and who is lost may face anywhere.
         """
-        return self.init(belief.moments().widened(factor), jr.key(0))
+        return self.init(belief.moments().inflated(factor), jr.key(0))
 
     def predict(
         self,
@@ -128,17 +127,10 @@ class Hypotheses(AbstractFilter[Mixture]):
         joint = belief.log_weights + likelihoods
         weights = jnp.maximum(joint - logsumexp(joint), HELD)
 
-        prior = jnp.exp(belief.log_weights)
-        residual = prior @ scores.residual
-        spread = scores.residual - residual[None]
-        within = jnp.sum(prior[:, None, None] * scores.cov, axis=0)
-        S = symmetric(within + spread.T @ (prior[:, None] * spread))
-        score = innovation(residual, S, cholesky(S), model.dof())
-        return Mixture(posteriors, weights - logsumexp(weights)), score._replace(
-            log_likelihood=logsumexp(belief.log_weights + scores.log_likelihood),
-            accepted=jnp.all(scores.accepted),
-            repairs=jnp.sum(scores.repairs),
-        )
+        score = mixture_innovation(belief.log_weights, scores, model.dof())
+        evidence = logsumexp(belief.log_weights + scores.log_likelihood)
+        mixture = Mixture(posteriors, weights - logsumexp(weights))
+        return mixture, score._replace(log_likelihood=evidence)
 
 
 def _turning(state: Any) -> str | None:

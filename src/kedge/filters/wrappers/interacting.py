@@ -19,8 +19,7 @@ from kedge.core.errors import ContractError
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.numerics.innovation import innovation
-from kedge.numerics.linalg import cholesky, symmetric
+from kedge.numerics.innovation import mixture_innovation
 
 
 class Restless(AbstractVehicle[Any, Any, Any]):
@@ -147,17 +146,8 @@ class InteractingModels(AbstractFilter[Mixture]):
         joint = belief.log_weights + scores.log_likelihood
         evidence = logsumexp(joint)
 
-        prior = jnp.exp(belief.log_weights)
-        residual = prior @ scores.residual
-        spread = scores.residual - residual[None]
-        within = jnp.sum(prior[:, None, None] * scores.cov, axis=0)
-        S = symmetric(within + spread.T @ (prior[:, None] * spread))
-        score = innovation(residual, S, cholesky(S), model.dof())
-        return Mixture(posteriors, joint - evidence), score._replace(
-            log_likelihood=evidence,
-            accepted=jnp.all(scores.accepted),
-            repairs=jnp.sum(scores.repairs),
-        )
+        score = mixture_innovation(belief.log_weights, scores, model.dof())
+        return Mixture(posteriors, joint - evidence), score._replace(log_likelihood=evidence)
 
     def _switching(self, dt: Scalar) -> Float[Array, "M M"]:
         share = 1 / self.count

@@ -27,9 +27,9 @@ class Adapted(NamedTuple):
         """The inner belief's."""
         return self.belief.moments()
 
-    def widened(self, factor: Scalar) -> "Adapted":
+    def inflated(self, factor: Scalar) -> "Adapted":
         """The inner belief widened; what was learned stays."""
-        return self._replace(belief=self.belief.widened(factor))
+        return self._replace(belief=self.belief.inflated(factor))
 
 
 class AbstractNoiseLearner(AbstractWrapper):
