@@ -14,6 +14,7 @@ from kedge.estimation.rig import Installation
 from kedge.estimation.step import Standing, take_in
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
+from kedge.sensors.gnss3 import Gnss3
 from kedge.sensors.landmarks import Landmarks
 from kedge.sensors.landmarks import Measurement as Sight
 from kedge.testing import quick_jit
@@ -22,15 +23,16 @@ from kedge.vehicles.unicycle import Unicycle
 BELIEF = Gaussian(Unicycle().start(), 0.1 * jnp.eye(3))
 GATED = Installation("camera", Landmarks(), gate=0.01)
 PLAIN = Installation("gnss", Gnss())
+WIDE = Installation("wide", Gnss3())
 # What the camera sees of the first landmark, 20 m east and 30 m north of the start.
 GOOD = (np.hypot(20.0, 30.0), np.arctan2(30.0, 20.0))
 R = np.array([[0.25, 0.001], [0.001, 0.0004]])
 
 
-def take(filter, installation, belief, reading, width):
+def take(filter, installation, belief, reading, *others):
     """One reading on its own: the belief after it, and what became of it."""
     standing, outcome = take_in(
-        filter, installation, Standing(belief), reading, 0.0, jax.random.key(0), width
+        filter, (installation, *others), 0, Standing(belief), reading, 0.0, jax.random.key(0)
     )
     return standing.belief, outcome
 
@@ -40,7 +42,7 @@ def camera():
     @quick_jit
     def judge(distance, bearing, target, cov):
         reading = Readings(Sight(distance, bearing), target, cov)
-        return take(ExtendedKalman(), GATED, BELIEF, reading, 3)
+        return take(ExtendedKalman(), GATED, BELIEF, reading, WIDE)
 
     def run(distance=GOOD[0], bearing=GOOD[1], target=0, cov=R):
         return judge(*map(np.asarray, (distance, bearing, target, cov)))
@@ -139,7 +141,7 @@ def test_a_sensor_that_breaks_down_is_told_from_a_gated_reading(std, key):
     for gate in (None, 0.01):
         installation = Installation("broken", Broken(), gate=gate)
         belief, outcome = quick_jit(
-            lambda belief, i=installation: take(ExtendedKalman(), i, belief, reading, 2)
+            lambda belief, i=installation: take(ExtendedKalman(), i, belief, reading)
         )(BELIEF)
         assert Verdict(int(outcome.verdict)) == Verdict.NOT_FINITE
         np.testing.assert_array_equal(belief.cov, BELIEF.cov)
@@ -148,7 +150,7 @@ def test_a_sensor_that_breaks_down_is_told_from_a_gated_reading(std, key):
 def test_what_a_filter_leaves_out_on_purpose_is_dropped(key):
     reading = Readings(Measurement(jnp.ones(2)), jnp.asarray(0))
     belief, outcome = quick_jit(
-        lambda belief: take(filters.make("dead-reckoning"), PLAIN, belief, reading, 2)
+        lambda belief: take(filters.make("dead-reckoning"), PLAIN, belief, reading)
     )(BELIEF)
     assert Verdict(int(outcome.verdict)) == Verdict.DROPPED
     np.testing.assert_allclose(outcome.nis, 2 / 1.1)

@@ -61,7 +61,7 @@ def test_false_alarms_come_at_the_rate_asked_for():
         seen = State(jnp.where(present, spread @ white, jnp.nan))
         reading = Readings(seen, jnp.asarray(0))
         _, outcome = take_in(
-            ExtendedKalman(), gauge, Standing(prior), reading, 0.0, jr.key(0), 6
+            ExtendedKalman(), (gauge,), 0, Standing(prior), reading, 0.0, jr.key(0)
         )
         return outcome.verdict, outcome.dof
 
