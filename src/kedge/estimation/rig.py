@@ -63,8 +63,8 @@ class Installation(eqx.Module):
         recovery = RECOVERY if self.recovery is None else self.recovery
         if self.robust is not None:
             loss = self.robust
-            filter = Robust(filter, loss.kind, loss.tuning, loss.side, recovery)
-        return filter if self.gate is None else Gated(filter, self.gate, recovery)
+            filter = Robust(filter, loss.kind, loss.tuning, loss.side, recovery=recovery)
+        return filter if self.gate is None else Gated(filter, self.gate, recovery=recovery)
 
     def expect(self, state: Any, target: Int[Array, ""]) -> Any:
         """The noise-free measurement of one target."""

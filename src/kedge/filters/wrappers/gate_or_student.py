@@ -70,7 +70,7 @@ class GateOrStudent(AbstractOutlierTest):
     share: float = eqx.field(static=True, default=0.3)
     window: Scalar = 2.0
     tuning: Scalar = 4.0
-    recovery: float = eqx.field(static=True, default=5.0)
+    recovery: float = eqx.field(static=True, kw_only=True, default=5.0)
 
     def __check_init__(self):
         for name in ("false_alarm", "share"):

@@ -10,7 +10,7 @@ from jaxtyping import PRNGKeyArray
 from kedge.core.contracts import AbstractMeasurementModel, Innovation
 from kedge.core.errors import ContractError
 from kedge.core.registry import filters
-from kedge.filters.wrappers.wrapper import FALSE_ALARM, RECOVERY, AbstractOutlierTest, bound_of
+from kedge.filters.wrappers.wrapper import FALSE_ALARM, AbstractOutlierTest, bound_of
 
 
 @filters.add("gated")
@@ -29,7 +29,6 @@ class Gated(AbstractOutlierTest):
     """
 
     false_alarm: float = eqx.field(static=True, default=FALSE_ALARM)
-    recovery: float = eqx.field(static=True, default=RECOVERY)
 
     def __check_init__(self):
         if not 0 < self.false_alarm < 1:

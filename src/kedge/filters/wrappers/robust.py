@@ -10,7 +10,6 @@ from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.wrappers.wrapper import (
     FALSE_ALARM,
-    RECOVERY,
     AbstractOutlierTest,
     Inflated,
     bound_of,
@@ -38,7 +37,6 @@ class Robust(AbstractOutlierTest):
     loss: str = eqx.field(static=True, default="student")
     tuning: Scalar | None = None
     side: str = eqx.field(static=True, default="both")
-    recovery: float = eqx.field(static=True, default=RECOVERY)
 
     def __check_init__(self):
         Loss(self.loss, self.tuning, self.side)

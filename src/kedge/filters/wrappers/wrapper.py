@@ -72,7 +72,7 @@ class AbstractOutlierTest(AbstractWrapper):
     event step lets one in (:mod:`kedge.estimation.recovery`); infinity is never.
     """
 
-    recovery: eqx.AbstractVar[float]  # pyright: ignore[reportGeneralTypeIssues]
+    recovery: float = eqx.field(static=True, kw_only=True, default=RECOVERY)
 
     def __check_init__(self):
         if not self.recovery > 0:
