@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian, stretch, widened_cov
+from kedge.core.beliefs import Gaussian, stretch, inflated_cov
 from kedge.core.contracts import (
     AbstractGaussianFilter,
     AbstractMeasurementModel,
@@ -37,10 +37,10 @@ class SigmaPointBelief(NamedTuple):
         """Mean and covariance."""
         return Gaussian(self.mean, self.cov)
 
-    def widened(self, factor: Scalar) -> "SigmaPointBelief":
+    def inflated(self, factor: Scalar) -> "SigmaPointBelief":
         """The same mean, the covariance times ``factor`` but for augmented states."""
         grown = jnp.broadcast_to(stretch(self.mean, factor), self.errors.shape[1:])
-        cov = widened_cov(self.mean, self.cov, factor)
+        cov = inflated_cov(self.mean, self.cov, factor)
         return self._replace(cov=cov, errors=self.errors * grown[None])
 
 
