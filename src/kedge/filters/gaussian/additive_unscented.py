@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from kedge.core.beliefs import Gaussian, stretch, inflated_cov
+from kedge.core.beliefs import Gaussian, inflated_cov, stretch
 from kedge.core.contracts import (
     AbstractGaussianFilter,
     AbstractMeasurementModel,
