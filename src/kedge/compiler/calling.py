@@ -83,15 +83,15 @@ def _every(interpreter: Interpreter, index: Node, cases: list[list[Value]]) -> l
         if any(isinstance(v, Opaque) for v in values):
             out.append(Opaque("a branch that is not known"))
             continue
-        found = interpreter.nodes(values[-1])
+        choice = interpreter.nodes(values[-1])
         for place in reversed(range(len(values) - 1)):
             here = f.compare("eq", index, f.const(place, "i8"))
-            found = each(
+            choice = each(
                 lambda a, b, here=here: f.select(here, a, b),
                 interpreter.nodes(values[place]),
-                found,
+                choice,
             )
-        out.append(found)
+        out.append(choice)
     return out
 
 
@@ -112,11 +112,9 @@ def _scan(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value
     outputs: list[list[Value]] = []
     order = reversed(range(rounds)) if params["reverse"] else range(rounds)
     for i in order:
-        found = _run(
-            interpreter, inside, [*consts, *carry, *(row[i] for row in map(_rows, rows))]
-        )
-        carry = found[:carried]
-        outputs.append(found[carried:])
+        results = _run(interpreter, inside, [*consts, *carry, *(row[i, ...] for row in rows)])
+        carry = results[:carried]
+        outputs.append(results[carried:])
     if params["reverse"]:
         outputs.reverse()
     stacked: list[Value] = []
@@ -129,8 +127,3 @@ def _scan(interpreter: Interpreter, equation: Any, *values: Value) -> list[Value
         parts = [interpreter.nodes(v) for v in column]
         stacked.append(np.stack(parts))
     return [*carry, *stacked]
-
-
-def _rows(array: np.ndarray) -> list[np.ndarray]:
-    return [filled(list(row.flat), row.shape) if isinstance(row, np.ndarray)
-            else filled([row], ()) for row in array]  # fmt: skip

@@ -71,7 +71,7 @@ def _div(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
 
 
 def _whole(f: Functions, op: str, a: Node, b: Node) -> Node:
-    """Quotient or rest of integers, towards zero; by zero it would end the process."""
+    """Quotient or remainder of integers, towards zero; by zero it would end the process."""
     if not b.is_const or value_of(b) in (0, -1):
         raise Unsupported("division of integers by what is not known")
     if a.is_const:
@@ -92,11 +92,11 @@ def _integer_pow(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.n
     f, power = interpreter.functions, equation.params["y"]
 
     def raised(x: Node) -> Node:
-        value, factor, rest = None, x, abs(power)
-        while rest:
-            if rest & 1:
+        value, factor, remaining = None, x, abs(power)
+        while remaining:
+            if remaining & 1:
                 value = factor if value is None else f.mul(value, factor)
-            factor, rest = f.mul(factor, factor), rest >> 1
+            factor, remaining = f.mul(factor, factor), remaining >> 1
         one = f.const(1, x.kind)
         if value is None:
             return one
@@ -109,7 +109,7 @@ def _integer_pow(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.n
 def _rem(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     f = interpreter.functions
     if a.size and a.flat[0].kind not in FLOATS:
-        return each(lambda x, y: _whole(f, "rest", x, y), a, b)
+        return each(lambda x, y: _whole(f, "remainder", x, y), a, b)
     return each(lambda x, y: f.call("fmod", x, y), a, b)
 
 
@@ -148,10 +148,10 @@ def _select_n(
         return each(lambda w, no, yes: f.select(w, yes, no), which, *cases)
 
     def pick(w: Node, *values: Node) -> Node:
-        found = values[-1]
+        choice = values[-1]
         for place in reversed(range(len(values) - 1)):
-            found = f.select(f.compare("eq", w, f.const(place, w.kind)), values[place], found)
-        return found
+            choice = f.select(f.compare("eq", w, f.const(place, w.kind)), values[place], choice)
+        return choice
 
     return each(pick, which, *cases)
 

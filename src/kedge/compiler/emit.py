@@ -40,21 +40,21 @@ class Writer:
         self.splats.append({})
         self._region(self.program.loop)
         self._outputs()
-        left = [self._as(n, c.varying) for n, c in self._carry(self.program.left)]
+        leaving = [self._as(n, c.varying) for n, c in self._carry(self.program.leaving)]
         self.splats.pop()
-        self._close_loop(left)
+        self._close_loop(leaving)
         if len(self.lines) > self.most:
             raise Unsupported(f"{len(self.lines)} instructions, more than {self.most}")
         body = "\n".join(self.lines)
         head = "\n".join(sorted(self.declared))
         return f"{head}\ndefine void @{NAME}(ptr %block) {{\n{body}\n}}\n"
 
-    def _say(self, line: str) -> None:
+    def _line(self, line: str) -> None:
         self.lines.append(f"  {line}")
 
     def _new(self, instruction: str) -> str:
         self.count += 1
-        self._say(f"%v{self.count} = {instruction}")
+        self._line(f"%v{self.count} = {instruction}")
         return f"%v{self.count}"
 
     def _mark(self, label: str) -> None:
@@ -89,13 +89,13 @@ class Writer:
             for k in range(len(self.program.outputs))
         ]
         last = self._new(f"sub i64 {self.end}, 1")
-        self._say("br label %groups")
+        self._line("br label %groups")
         self._mark("groups")
-        self._say(f"%group = phi i64 [ {self.first}, %entry ], [ %next_group, %group_done ]")
+        self._line(f"%group = phi i64 [ {self.first}, %entry ], [ %next_group, %group_done ]")
         going = self._new(f"icmp slt i64 %group, {self.end}")
-        self._say(f"br i1 {going}, label %once, label %done")
+        self._line(f"br i1 {going}, label %once, label %done")
         self._mark("done")
-        self._say("ret void")
+        self._line("ret void")
         self._mark("once")
         self.runs = []
         for lane in range(self.lanes):
@@ -112,7 +112,7 @@ class Writer:
             self.slots.append(self._new(f"getelementptr i64, ptr {self.carry}, i64 {place}"))
 
     def _read(self) -> set[int]:
-        found: set[int] = set()
+        numbers: set[int] = set()
 
         def look(region: Region) -> None:
             for item in region.items:
@@ -120,40 +120,40 @@ class Writer:
                     for inside, _ in item.cases:
                         look(inside)
                 elif item.key in self.needed and item.op in ("load", "rows"):
-                    found.add(item.param[0] if item.op == "load" else item.param)
+                    numbers.add(item.param[0] if item.op == "load" else item.param)
 
         look(self.program.once)
         look(self.program.loop)
-        return found
+        return numbers
 
     def _bases(self, number: int, word: list[str]) -> list[str]:
         argument = self.program.arguments[number]
-        if not argument.own or self.lanes == 1:
+        if not argument.per_run or self.lanes == 1:
             return [word[0]]
         kind = _memory(argument.kind)
-        moved = [self._new(f"mul i64 {run}, {word[1]}") for run in self.runs]
-        return [self._new(f"getelementptr {kind}, ptr {word[0]}, i64 {m}") for m in moved]
+        offsets = [self._new(f"mul i64 {run}, {word[1]}") for run in self.runs]
+        return [self._new(f"getelementptr {kind}, ptr {word[0]}, i64 {m}") for m in offsets]
 
     def _out_base(self, k: int, address: str) -> str:
         output = self.program.outputs[k]
         row = self._new(f"mul i64 {self.events}, {len(output.nodes)}")
         kind = _memory(output.kind)
         # Groups begin at multiples of the lanes, so that is where the group's block begins.
-        moved = self._new(f"mul i64 %group, {row}")
-        return self._new(f"getelementptr {kind}, ptr {address}, i64 {moved}")
+        offset = self._new(f"mul i64 %group, {row}")
+        return self._new(f"getelementptr {kind}, ptr {address}, i64 {offset}")
 
     def _carry(self, nodes: list[Node]) -> list[tuple[Node, Node]]:
         return list(zip(nodes, self.program.carried, strict=True))
 
     def _start(self) -> list[str]:
-        """Names of what is carried into the first event: computed, or as it was left."""
+        """Names of what is carried into the first event: computed, or kept from before."""
         fresh = self._new(f"icmp ne i64 {self.is_fresh}, 0")
         anew = [
             self._as(node, symbol.varying) for node, symbol in self._carry(self.program.start)
         ]
         begun = self.label
         self.origins = begun, "resume"
-        self._say(f"br i1 {fresh}, label %events, label %resume")
+        self._line(f"br i1 {fresh}, label %events, label %resume")
         self._mark("resume")
         kept = []
         for place, symbol in enumerate(self.program.carried):
@@ -163,7 +163,7 @@ class Writer:
                 at = self._new(f"getelementptr i64, ptr {slot}, i64 {place}")
                 each.append(self._load(symbol.kind, at, wide=True))
             kept.append(self._pack(symbol.kind, each))
-        self._say("br label %events")
+        self._line("br label %events")
         return [f"[ {a}, %{begun} ], [ {b}, %resume ]" for a, b in zip(anew, kept, strict=True)]
 
     def _open_loop(self, start: list[str]) -> None:
@@ -172,17 +172,17 @@ class Writer:
         self.entering = start
         for symbol in self.program.carried:
             self.names[symbol.key] = f"%c{symbol.param}"
-        self._say("%going = icmp slt i64 %event, " + self.events)
-        self._say("br i1 %going, label %event_body, label %group_done")
+        self._line("%going = icmp slt i64 %event, " + self.events)
+        self._line("br i1 %going, label %event_body, label %group_done")
         self._mark("event_body")
 
-    def _close_loop(self, left: list[str]) -> None:
-        self._say("%next_event = add i64 %event, 1")
+    def _close_loop(self, leaving: list[str]) -> None:
+        self._line("%next_event = add i64 %event, 1")
         latch = self.label
-        self._say("br label %events")
+        self._line("br label %events")
         lines = []
         for symbol, entering, after in zip(
-            self.program.carried, self.entering, left, strict=True
+            self.program.carried, self.entering, leaving, strict=True
         ):
             kind = type_of(symbol.kind, self._lanes(symbol))
             lines.append(f"  %c{symbol.param} = phi {kind} {entering}, [ {after}, %{latch} ]")
@@ -198,8 +198,8 @@ class Writer:
                 at = self._new(f"getelementptr i64, ptr {slot}, i64 {place}")
                 value = self._lane(symbol, f"%c{symbol.param}", lane)
                 self._store(symbol.kind, value, at, wide=True)
-        self._say(f"%next_group = add i64 %group, {self.lanes}")
-        self._say("br label %groups")
+        self._line(f"%next_group = add i64 %group, {self.lanes}")
+        self._line("br label %groups")
 
     def _outputs(self) -> None:
         for output, base in zip(self.program.outputs, self.out, strict=True):
@@ -213,7 +213,7 @@ class Writer:
                     byte = type_of("u1", self.lanes)
                     value = self._new(f"zext {many} {value} to {byte}")
                     many = byte
-                self._say(f"store {many} {value}, ptr {at}, align {_bytes(output.kind)}")
+                self._line(f"store {many} {value}, ptr {at}, align {_bytes(output.kind)}")
 
     # Nodes.
 
@@ -234,7 +234,7 @@ class Writer:
         labels = [self._fresh() for _ in branches.cases]
         merge = self._fresh()
         table = " ".join(f"i64 {i}, label %{label}" for i, label in enumerate(labels[:-1]))
-        self._say(f"switch i64 {index}, label %{labels[-1]} [ {table} ]")
+        self._line(f"switch i64 {index}, label %{labels[-1]} [ {table} ]")
         arriving: list[tuple[str, list[str]]] = []
         for label, (region, values) in zip(labels, branches.cases, strict=True):
             self._mark(label)
@@ -246,7 +246,7 @@ class Writer:
                 for value, node in zip(wanted, results, strict=True)
             ]
             self.splats.pop()
-            self._say(f"br label %{merge}")
+            self._line(f"br label %{merge}")
             arriving.append((self.label, given))
         self._mark(merge)
         for place, node in enumerate(results):
@@ -365,11 +365,11 @@ class Writer:
         if wide and kind[0] != "f" and kind[1] != "8":
             word = "sext" if kind[0] == "i" else "zext"
             value = self._new(f"{word} {LLVM_TYPES[kind]} {value} to i64")
-            self._say(f"store i64 {value}, ptr {at}")
+            self._line(f"store i64 {value}, ptr {at}")
             return
         if kind == "b1":
             value = self._new(f"zext i1 {value} to i8")
-        self._say(f"store {_memory(kind)} {value}, ptr {at}")
+        self._line(f"store {_memory(kind)} {value}, ptr {at}")
 
 
 def _bytes(kind: str) -> int:

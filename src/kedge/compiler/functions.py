@@ -72,11 +72,11 @@ class Functions(Algebra):
             return self.const(value, "f8")
 
         turns = self.unary("even", self.mul(x, number(2 / math.pi)))
-        rest = x
+        reduced = x
         for part in HALF_PI:
-            rest = self.fma(turns, number(-part), rest)
-        square = self.mul(rest, rest)
-        sine = self.fma(self.mul(rest, square), self.polynomial(SINE, square), rest)
+            reduced = self.fma(turns, number(-part), reduced)
+        square = self.mul(reduced, reduced)
+        sine = self.fma(self.mul(reduced, square), self.polynomial(SINE, square), reduced)
         half = self.mul(number(0.5), square)
         high = self.sub(number(1.0), half)
         # What 1 - x^2 / 2 lost to rounding is given back.
@@ -116,8 +116,8 @@ class Functions(Algebra):
 
         bits = self.graph.make("bitcast", "i8", (x,))
         # The exponent is counted from sqrt(1/2), so that the mantissa is close to 1.
-        moved = self.sub(bits, whole(0x3FE6A09E667F3BCD))
-        power = self.graph.make("shift_signed", "i8", (moved, whole(52)))
+        counted = self.sub(bits, whole(0x3FE6A09E667F3BCD))
+        power = self.graph.make("shift_signed", "i8", (counted, whole(52)))
         shifted = self.graph.make("shift_left", "i8", (power, whole(52)))
         mantissa = self.graph.make("bitcast", "f8", (self.sub(bits, shifted),))
         # An integer below 2^51 as a float, by its bits: vectors have no conversion.
@@ -167,9 +167,9 @@ class Functions(Algebra):
         eighth = self.add(self.add(angle, number(HALF_PI[1] / 2)), number(HALF_PI[0] / 2))
         angle = self.select(beyond, eighth, angle)
         angle = self.select(steep, less_than_quarter(angle), angle)
-        left = self.compare("lt", x, number(0.0))
+        behind = self.compare("lt", x, number(0.0))
         about = self.add(self.sub(number(2 * HALF_PI[0]), angle), number(2 * HALF_PI[1]))
-        angle = self.select(left, about, angle)
+        angle = self.select(behind, about, angle)
         angle = self.graph.make("copysign", "f8", (angle, y))
         # Zeros, infinities and NaN have rules of their own.
         regular = self.both(
@@ -189,5 +189,5 @@ class Functions(Algebra):
         def ask() -> list[Node | None]:
             return [self.select(usual, value, self.graph.make("call", "f8", args, name))]
 
-        (found,) = self.graph.branch(index, [ask, lambda: [value]])
-        return value if found is None else found
+        (merged,) = self.graph.branch(index, [ask, lambda: [value]])
+        return value if merged is None else merged

@@ -77,10 +77,10 @@ class Graph:
         kind: str,
         args: Sequence[Node] = (),
         param: Any = None,
-        own: bool = False,
+        per_run: bool = False,
     ) -> Node:
-        """A node that varies with the run if ``own`` or if one of its arguments does."""
-        varying = own or any(arg.varying for arg in args)
+        """A node that varies with the run if ``per_run`` or if one of its arguments does."""
+        varying = per_run or any(arg.varying for arg in args)
         return self._node(op, kind, tuple(args), param, varying)
 
     def branch(
@@ -91,15 +91,15 @@ class Graph:
         The index must be the same for all runs and within the number of cases. What one case
         cannot tell (None) is not known of the whole.
         """
-        found = Branches(index)
+        branches = Branches(index)
         outer = self.here
         for case in cases:
             self.here = Region(outer)
-            found.cases.append((self.here, list(case())))
+            branches.cases.append((self.here, list(case())))
         self.here = outer
-        outer.items.append(found)
-        columns = zip(*(values for _, values in found.cases), strict=True)
-        return [self._merged(found, place, values) for place, values in enumerate(columns)]
+        outer.items.append(branches)
+        columns = zip(*(values for _, values in branches.cases), strict=True)
+        return [self._merged(branches, place, values) for place, values in enumerate(columns)]
 
     def _merged(
         self, branches: Branches, place: int, values: tuple[Node | None, ...]
@@ -128,9 +128,9 @@ class Graph:
         key = (op, kind, shown, *[arg.key for arg in args])
         region: Region | None = self.here
         while region is not None:
-            found = region.table.get(key)
-            if found is not None:
-                return found
+            known = region.table.get(key)
+            if known is not None:
+                return known
             region = region.outer
         depth = max((arg.depth for arg in args), default=1 if op in PER_EVENT else 0)
         place = self.root if depth == 0 else self.here

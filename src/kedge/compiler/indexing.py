@@ -59,12 +59,12 @@ def gather(interpreter: Interpreter, equation: Any, source: Value, indices: Valu
             begin[axis] = f.clamp(f.const(0, "i8"), wanted, last)
             inside = f.both("and", inside, f.compare("eq", begin[axis], wanted))
         index = [0] * len(sizes)
-        for axis, there in zip(inner, numbers.offset_dims, strict=True):
-            index[axis] = place[there]
-        found = at(f, source, begin, tuple(index))
+        for axis, k in zip(inner, numbers.offset_dims, strict=True):
+            index[axis] = place[k]
+        number = at(f, source, begin, tuple(index))
         if fills:
-            found = f.select(inside, found, _gap(f, equation, found))
-        picked.append(found)
+            number = f.select(inside, number, _gap(f, equation, number))
+        picked.append(number)
     return filled(picked, shape)
 
 
@@ -103,19 +103,19 @@ def at(f: Functions, source: Value, begin: list[Node], index: tuple[int, ...]) -
     reach = [source.shape[axis] for axis in open_axes]
     if math.prod(reach) > MOST_CHOICES:
         raise Unsupported(f"a choice among {math.prod(reach)} numbers")
-    found = None
-    for choice in np.ndindex(*reach):
+    choice = None
+    for places in np.ndindex(*reach):
         place = [s.param[1] + i if s.is_const else i for s, i in zip(begin, index, strict=True)]
         here = f.const(True, "b1")
-        for axis, value in zip(open_axes, choice, strict=True):
+        for axis, value in zip(open_axes, places, strict=True):
             wanted = f.const(value - index[axis], "i8")
             here = f.both("and", here, f.compare("eq", begin[axis], wanted))
             place[axis] = value
         number = source[tuple(place)]
-        found = number if found is None else f.select(here, number, found)
-    if found is None:
+        choice = number if choice is None else f.select(here, number, choice)
+    if choice is None:
         raise Unsupported("a number of an empty array")
-    return found
+    return choice
 
 
 @rule("scatter", "scatter-add", "scatter-sub", "scatter-mul", "scatter-min", "scatter-max")
@@ -134,8 +134,8 @@ def _scatter(
     inner = [a for a in range(source.ndim) if a not in numbers.inserted_window_dims]
     outer = [a for a in range(updates.ndim) if a not in numbers.update_window_dims]
     window = [1] * source.ndim
-    for axis, there in zip(inner, numbers.update_window_dims, strict=True):
-        window[axis] = updates.shape[there]
+    for axis, k in zip(inner, numbers.update_window_dims, strict=True):
+        window[axis] = updates.shape[k]
     clips = "clip" in str(params["mode"]).lower()
     out = source.copy()
     for place in np.ndindex(*updates.shape):
@@ -150,8 +150,8 @@ def _scatter(
         if inside != begin and not clips:
             continue  # a window that sticks out is dropped whole
         index = inside
-        for axis, there in zip(inner, numbers.update_window_dims, strict=True):
-            index[axis] += place[there]
+        for axis, k in zip(inner, numbers.update_window_dims, strict=True):
+            index[axis] += place[k]
         target, new = tuple(index), updates[place]
         if combine is not None:
             pair: list[Any] = [out[target], new]

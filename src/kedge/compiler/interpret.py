@@ -42,8 +42,8 @@ class Interpreter:
             return literal(self.functions, atom) if isinstance(atom, Literal) else known[atom]
 
         for equation in jaxpr.eqns:
-            found = self.compute(equation, [read(atom) for atom in equation.invars])
-            known.update(zip(equation.outvars, found, strict=True))
+            results = self.compute(equation, [read(atom) for atom in equation.invars])
+            known.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
     def constant(self, value: Any) -> Value:
@@ -60,16 +60,16 @@ class Interpreter:
     def compute(self, equation: Any, values: Sequence[Value]) -> list[Value]:
         """Results of one equation."""
         name, outputs = equation.primitive.name, len(equation.outvars)
-        found = RULES.get(name)
-        if found is None:
+        compute = RULES.get(name)
+        if compute is None:
             return [Opaque(f"operation {name!r}")] * outputs
-        takes_any = getattr(found, "takes_any", False)
+        takes_any = getattr(compute, "takes_any", False)
         if not takes_any:
             unknown = next((v for v in values if isinstance(v, Opaque)), None)
             if unknown is not None:
                 return [unknown] * outputs
             values = [self.nodes(v) for v in values]
-        results = found(self, equation, *values)
+        results = compute(self, equation, *values)
         return results if isinstance(results, list) else [results]
 
     def nodes(self, value: Value) -> np.ndarray:

@@ -67,8 +67,8 @@ class Kernel:
             if array is None:
                 words += [0, 0, 0]
                 continue
-            own = self.lanes > 1 and argument.own
-            shape = array.shape[1:] if own else array.shape
+            per_run = self.lanes > 1 and argument.per_run
+            shape = array.shape[1:] if per_run else array.shape
             rows = shape[0] if shape else 1
             words += [array.ctypes.data, int(np.prod(shape, dtype=int)), rows]
         words += [array.ctypes.data for array in outputs]

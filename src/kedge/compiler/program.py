@@ -34,7 +34,7 @@ class Argument(NamedTuple):
 
     kind: str
     shape: tuple[int, ...]
-    own: bool
+    per_run: bool
     """Whether each run has its own."""
     open_ended: bool
     """Whether the number of rows is known only when the program runs."""
@@ -59,7 +59,7 @@ class Program(NamedTuple):
     """What is carried into the first event."""
     carried: list[Node]
     """What is carried into each event, as the loop knows it."""
-    left: list[Node]
+    leaving: list[Node]
     """What each event leaves to the next."""
     outputs: list[Output]
     passed: dict[int, int]
@@ -97,7 +97,7 @@ def build(
             Opaque("a random key")
             if argument is None
             else Stored(
-                number, argument.kind, argument.shape, batched and argument.own,
+                number, argument.kind, argument.shape, batched and argument.per_run,
                 argument.open_ended,
             )
         )  # fmt: skip
@@ -109,8 +109,8 @@ def build(
         return literal(functions, atom) if isinstance(atom, Literal) else known[atom]
 
     for equation in jaxpr.eqns[:-1]:
-        found = interpreter.compute(equation, [read(atom) for atom in equation.invars])
-        known.update(zip(equation.outvars, found, strict=True))
+        results = interpreter.compute(equation, [read(atom) for atom in equation.invars])
+        known.update(zip(equation.outvars, results, strict=True))
     loop = loops[-1]
     return _loop(
         interpreter, loop, [read(a) for a in loop.invars], jaxpr, list(arguments), batched
@@ -136,11 +136,11 @@ def _loop(
     inputs = values[fixed + count :]
     if any(not isinstance(v, Stored) for v in inputs):
         raise Unsupported("a loop over what is computed")
-    own = _varying(inside, consts, start, inputs) if batched else [False] * count
+    per_run = _varying(inside, consts, start, inputs) if batched else [False] * count
     once, body = graph.root, graph.loop()
     carried: list[Node] = []
     symbols, parts = [], []
-    for array, differs in zip(start, own, strict=True):
+    for array, differs in zip(start, per_run, strict=True):
         nodes = []
         for first in array.flat:
             node = graph.make("carry", first.kind, (), len(carried), differs)
@@ -151,8 +151,8 @@ def _loop(
     event = graph.make("event", "i8")
     rows = [v.row(functions, event) for v in inputs]
     consts_of = params["jaxpr"].consts
-    found = interpreter.run(inside, consts_of, [*consts, *symbols, *rows])
-    left = [n for v in found[:count] for n in interpreter.nodes(v).flat]
+    values_after = interpreter.run(inside, consts_of, [*consts, *symbols, *rows])
+    leaving = [n for v in values_after[:count] for n in interpreter.nodes(v).flat]
     results = {v: number for number, v in enumerate(loop.outvars)}
     numbers = {v: number for number, v in enumerate(jaxpr.invars)}
     outputs, passed, places, ends = [], {}, [], {}
@@ -167,13 +167,13 @@ def _loop(
         if results[atom] < count:
             ends[place] = parts[results[atom]]
             continue
-        array = interpreter.nodes(found[results[atom]])
+        array = interpreter.nodes(values_after[results[atom]])
         kind = kind_of(loop.outvars[results[atom]].aval.dtype)
         outputs.append(Output(kind, list(array.flat), array.shape))
         places.append(place)
-    there = [a if a is not None else Argument("f8", (), False, False) for a in arguments]
+    given = [a if a is not None else Argument("f8", (), False, False) for a in arguments]
     first = [n for array in start for n in array.flat]
-    return Program(there, once, body, first, carried, left, outputs, passed, places, ends)
+    return Program(given, once, body, first, carried, leaving, outputs, passed, places, ends)
 
 
 def _varying(
@@ -184,7 +184,7 @@ def _varying(
     def differs(value: Value) -> bool:
         if isinstance(value, np.ndarray):
             return any(node.varying for node in value.flat)
-        return isinstance(value, Stored) and value.own
+        return isinstance(value, Stored) and value.per_run
 
     carry = [differs(array) for array in start]
     fixed, rows = [differs(v) for v in consts], [differs(v) for v in inputs]

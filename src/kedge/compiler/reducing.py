@@ -34,18 +34,18 @@ def _reduce(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndarra
     shape = tuple(a.shape[axis] for axis in kept)
     sizes = [int(np.prod([a.shape[i] for i in part], dtype=int)) for part in (kept, axes)]
     rows = np.transpose(a, [*kept, *axes]).reshape(sizes)
-    combine, found = FOLDS[name](f), []
+    combine, results = FOLDS[name](f), []
     for row in rows:
         if len(row) == 0:
             if name not in EMPTY:
                 raise Unsupported("the extreme of nothing")
-            found.append(f.const(EMPTY[name], kind_of(equation.outvars[0].aval.dtype)))
+            results.append(f.const(EMPTY[name], kind_of(equation.outvars[0].aval.dtype)))
             continue
         value = row[0]
         for other in row[1:]:
             value = combine(value, other)
-        found.append(value)
-    return filled(found, shape)
+        results.append(value)
+    return filled(results, shape)
 
 
 @rule(*(f"cum{name}" for name in ("sum", "prod", "max", "min")))
@@ -56,8 +56,8 @@ def _cumulate(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndar
     places = range(len(out))
     for last, place in itertools.pairwise(places):
         i, j = (len(out) - 1 - last, len(out) - 1 - place) if reverse else (last, place)
-        for rest in np.ndindex(out.shape[1:]):
-            out[(j, *rest)] = combine(out[(i, *rest)], out[(j, *rest)])
+        for others in np.ndindex(out.shape[1:]):
+            out[(j, *others)] = combine(out[(i, *others)], out[(j, *others)])
     return np.moveaxis(out, 0, axis)
 
 
@@ -67,9 +67,9 @@ def _argument(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndar
     how = "gt" if equation.primitive.name == "argmax" else "lt"
     kind = np.dtype(equation.params["index_dtype"])
     name = f"{kind.kind}{kind.itemsize}"
-    moved = np.moveaxis(a, axis, -1)
-    found = []
-    for row in moved.reshape(-1, moved.shape[-1]):
+    last = np.moveaxis(a, axis, -1)
+    results = []
+    for row in last.reshape(-1, last.shape[-1]):
         best, place = row[0], f.const(0, name)
         for i, value in enumerate(row[1:], 1):
             # The first NaN counts as the extreme, as in XLA.
@@ -80,14 +80,14 @@ def _argument(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndar
             )
             best = f.select(better, value, best)
             place = f.select(better, f.const(i, name), place)
-        found.append(place)
-    return filled(found, moved.shape[:-1])
+        results.append(place)
+    return filled(results, last.shape[:-1])
 
 
 @rule("dot_general")
 def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     f = interpreter.functions
-    (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
+    (summed_a, summed_b), (batch_a, batch_b) = equation.params["dimension_numbers"]
 
     def arranged(x: np.ndarray, batch: Any, summed: Any) -> np.ndarray:
         free = [axis for axis in range(x.ndim) if axis not in (*batch, *summed)]
@@ -99,18 +99,18 @@ def _dot(interpreter: Interpreter, equation: Any, a: np.ndarray, b: np.ndarray) 
 
     kind = kind_of(equation.outvars[0].aval.dtype)
     a, b = (each(lambda x: f.convert(x, kind), array) for array in (a, b))
-    first, second = arranged(a, left_batch, left), arranged(b, right_batch, right)
+    first, second = arranged(a, batch_a, summed_a), arranged(b, batch_b, summed_b)
     if first.shape[-1] == 0:
         zero = f.const(0, kind)
         shape = equation.outvars[0].aval.shape
         return filled([zero] * int(np.prod(shape, dtype=int)), shape)
-    found = [
+    results = [
         inner(f, row, column)
         for rows, columns in zip(first, second, strict=True)
         for row in rows
         for column in columns
     ]
-    return filled(found, equation.outvars[0].aval.shape)
+    return filled(results, equation.outvars[0].aval.shape)
 
 
 def inner(f: Algebra, a: np.ndarray, b: np.ndarray) -> Node:
@@ -129,16 +129,16 @@ def _cholesky(interpreter: Interpreter, equation: Any, a: np.ndarray) -> np.ndar
         matrix, root = a[batch], out[batch]
         root.fill(f.const(0, matrix.flat[0].kind))
         for j in range(len(matrix)):
-            rest = matrix[j, j]
+            value = matrix[j, j]
             for k in range(j):
-                rest = f.sub(rest, f.mul(root[j, k], root[j, k]))
-            root[j, j] = f.unary("sqrt", rest)
-            inverse = f.div(f.const(1, rest.kind), root[j, j])
+                value = f.sub(value, f.mul(root[j, k], root[j, k]))
+            root[j, j] = f.unary("sqrt", value)
+            inverse = f.div(f.const(1, value.kind), root[j, j])
             for i in range(j + 1, len(matrix)):
-                rest = matrix[i, j]
+                value = matrix[i, j]
                 for k in range(j):
-                    rest = f.sub(rest, f.mul(root[i, k], root[j, k]))
-                root[i, j] = f.mul(rest, inverse)
+                    value = f.sub(value, f.mul(root[i, k], root[j, k]))
+                root[i, j] = f.mul(value, inverse)
     return _nan_if_any(f, out)
 
 
@@ -174,8 +174,8 @@ def _triangular(
             matrix, lower = matrix.T, not lower
         if not params["left_side"]:  # x a = b is a' x' = b'
             matrix, right, lower = matrix.T, right.T, not lower
-        found = _substitute(f, matrix, right, lower)
-        out[batch] = found if params["left_side"] else found.T
+        solution = _substitute(f, matrix, right, lower)
+        out[batch] = solution if params["left_side"] else solution.T
     return out
 
 

@@ -1,4 +1,4 @@
-"""Rules of operations that only move numbers: nothing of them is left when the program runs."""
+"""Rules of operations that only move numbers: nothing of them remains when the program runs."""
 
 from typing import Any
 

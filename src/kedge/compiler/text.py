@@ -57,31 +57,31 @@ def simple(node: Node, args: list[str], lanes: int) -> tuple[str, str | None]:
         Unsupported: there is none.
     """
     op, kind = node.op, node.kind
-    own = type_of(kind, lanes)
+    form = type_of(kind, lanes)
     if kind in FLOATS and op in FLOAT_OPS:
-        return f"{FLOAT_OPS[op]} contract {own} {args[0]}, {args[1]}", None
+        return f"{FLOAT_OPS[op]} contract {form} {args[0]}, {args[1]}", None
     if kind in FLOATS and op == "neg":
-        return f"fneg {own} {args[0]}", None
+        return f"fneg {form} {args[0]}", None
     if kind in FLOATS and op in INTRINSICS:
         name = f"@llvm.{INTRINSICS[op]}.{suffix(kind, lanes)}"
-        shown = ", ".join(f"{own} {arg}" for arg in args)
-        types = ", ".join([own] * len(args))
-        return f"call {own} {name}({shown})", f"declare {own} {name}({types})"
+        shown = ", ".join(f"{form} {arg}" for arg in args)
+        types = ", ".join([form] * len(args))
+        return f"call {form} {name}({shown})", f"declare {form} {name}({types})"
     if op in INTEGER_OPS:
-        return f"{INTEGER_OPS[op]} {own} {args[0]}, {args[1]}", None
-    if op in ("quotient", "rest"):
+        return f"{INTEGER_OPS[op]} {form} {args[0]}, {args[1]}", None
+    if op in ("quotient", "remainder"):
         sign, word = "s" if kind[0] == "i" else "u", "div" if op == "quotient" else "rem"
-        return f"{sign}{word} {own} {args[0]}, {args[1]}", None
+        return f"{sign}{word} {form} {args[0]}, {args[1]}", None
     if op == "neg":
-        return f"sub {own} {constant(0, kind, lanes)}, {args[0]}", None
+        return f"sub {form} {constant(0, kind, lanes)}, {args[0]}", None
     if op == "not":
         ones = constant(1 if kind == "b1" else -1, kind, lanes)
-        return f"xor {own} {args[0]}, {ones}", None
+        return f"xor {form} {args[0]}, {ones}", None
     if op in FLOAT_TESTS:
         return _test(node, args, lanes), None
     if op == "bitcast":
         before = type_of(node.args[0].kind, lanes)
-        return f"bitcast {before} {args[0]} to {own}", None
+        return f"bitcast {before} {args[0]} to {form}", None
     if op == "convert":
         return _conversion(node, args[0], lanes)
     raise Unsupported(f"operation {op!r} of {kind}")

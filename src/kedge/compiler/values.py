@@ -24,11 +24,11 @@ class Stored:
         number: int,
         kind: str,
         shape: tuple[int, ...],
-        own: bool,
+        per_run: bool,
         open_ended: bool,
         offset: Node | None = None,
     ):
-        self.number, self.kind, self.shape, self.own = number, kind, shape, own
+        self.number, self.kind, self.shape, self.per_run = number, kind, shape, per_run
         self.open_ended, self.offset = open_ended, offset
 
     @property
@@ -40,15 +40,15 @@ class Stored:
         """The number ``more`` behind ``index``."""
         if self.offset is not None:
             index = functions.add(index, self.offset)
-        own = self.own
-        return functions.graph.make("load", self.kind, (index,), (self.number, more), own)
+        per_run = self.per_run
+        return functions.graph.make("load", self.kind, (index,), (self.number, more), per_run)
 
     def row(self, functions: Functions, index: Node) -> "Stored":
         """What stands at ``index`` along the first axis."""
         offset = functions.mul(index, functions.const(self.strides[0], "i8"))
         if self.offset is not None:
             offset = functions.add(offset, self.offset)
-        return Stored(self.number, self.kind, self.shape[1:], self.own, False, offset)
+        return Stored(self.number, self.kind, self.shape[1:], self.per_run, False, offset)
 
     def rows(self, functions: Functions) -> Node:
         """How many rows there are."""
@@ -85,12 +85,12 @@ def filled(nodes: list[Node], shape: tuple[int, ...]) -> np.ndarray:
 def kind_of(dtype: Any) -> str:
     """Short name of a type of numbers."""
     try:
-        found = np.dtype(dtype)
+        numpy_type = np.dtype(dtype)
     except TypeError:
         raise Unsupported(f"values of type {dtype}") from None
-    if found == np.bool_:
+    if numpy_type == np.bool_:
         return "b1"
-    name = f"{found.kind}{found.itemsize}"
+    name = f"{numpy_type.kind}{numpy_type.itemsize}"
     if name not in TYPES:
         raise Unsupported(f"values of type {dtype}")
     return name

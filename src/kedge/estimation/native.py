@@ -62,7 +62,9 @@ class NativePass:
     ):
         batched = own is not None
         flags = own or [False] * len(traced.arguments)
-        arguments = [a._replace(own=o) for a, o in zip(traced.arguments, flags, strict=True)]
+        arguments = [
+            a._replace(per_run=o) for a, o in zip(traced.arguments, flags, strict=True)
+        ]
         program = build(traced.jaxpr, [*arguments, None], batched, limits)
         if wanted is not None:
             kept = [i for i, place in enumerate(program.places) if place in wanted]
