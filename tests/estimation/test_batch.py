@@ -17,7 +17,7 @@ from kedge.estimation.batch import estimate, estimate_with_history, pass_over
 from kedge.estimation.log import Log, Schedule
 from kedge.estimation.rig import Installation, Mount, Rig, as_arrays
 from kedge.estimation.runs import estimate_runs
-from kedge.estimation.step import event_keys
+from kedge.estimation.step import prediction_key, reading_key
 from kedge.filters.ensemble.stochastic import EnsembleKalman
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.particle.bootstrap import BootstrapParticle
@@ -280,6 +280,7 @@ def test_what_is_not_kept_is_not_stored(key):
 def test_no_key_is_used_twice():
     """Neither for two predictions, two readings, or one of each."""
     numbers = range(1, 6)
-    keys = [jr.key(0), *(key for i in numbers for key in event_keys(jr.key(0), i, i))]
+    made = [kind(jr.key(0), i) for i in numbers for kind in (prediction_key, reading_key)]
+    keys = [jr.key(0), *made]
     data = {tuple(np.asarray(jr.key_data(key)).tolist()) for key in keys}
     assert len(data) == len(keys) == 11

@@ -159,7 +159,7 @@ def test_a_start_that_is_not_zero(make):
 def test_every_program_is_compiled_once(rig, key, monkeypatch):
     """Weakly typed numbers, fresh covariances and new parameters are no new types."""
     traced = []
-    for name in ("advance", "take_in"):
+    for name in ("predict_to", "process_measurement"):
         inner = getattr(online, name)
 
         def counted(*arguments, inner=inner, name=name):
@@ -172,4 +172,4 @@ def test_every_program_is_compiled_once(rig, key, monkeypatch):
         estimator = Estimator(ExtendedKalman(), type(rig)(rig.vehicle, rig.sensors, prior), key)
         for time in range(1, 5):
             estimator.push(time / 2, "gnss", EAST, control=Control(time, jnp.array(0.1)))
-    assert sorted(traced) == ["advance", "take_in"]
+    assert sorted(traced) == ["predict_to", "process_measurement"]

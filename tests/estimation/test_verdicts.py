@@ -11,7 +11,7 @@ from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
-from kedge.estimation.step import Standing, take_in
+from kedge.estimation.step import FilterState, process_measurement
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
 from kedge.sensors.gnss3 import Gnss3
@@ -31,10 +31,10 @@ R = np.array([[0.25, 0.001], [0.001, 0.0004]])
 
 def take(filter, installation, belief, reading, *others):
     """One reading on its own: the belief after it, and what became of it."""
-    standing, outcome = take_in(
-        filter, (installation, *others), 0, Standing(belief), reading, 0.0, jax.random.key(0)
+    state, outcome = process_measurement(
+        filter, (installation, *others), 0, FilterState(belief), reading, jax.random.key(0)
     )
-    return standing.belief, outcome
+    return state.belief, outcome
 
 
 @pytest.fixture(scope="module")

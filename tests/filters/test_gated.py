@@ -16,7 +16,7 @@ from kedge.core.manifolds import Euclidean
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
-from kedge.estimation.step import Standing, take_in
+from kedge.estimation.step import FilterState, process_measurement
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.wrappers.gated import Gated
 from kedge.sensors.gnss import Gnss, Measurement
@@ -60,8 +60,8 @@ def test_false_alarms_come_at_the_rate_asked_for():
     def verdict(white, present):
         seen = State(jnp.where(present, spread @ white, jnp.nan))
         reading = Readings(seen, jnp.asarray(0))
-        _, outcome = take_in(
-            ExtendedKalman(), (gauge,), 0, Standing(prior), reading, 0.0, jr.key(0)
+        _, outcome = process_measurement(
+            ExtendedKalman(), (gauge,), 0, FilterState(prior), reading, jr.key(0)
         )
         return outcome.verdict, outcome.dof
 

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import math
 from typing import Any
 
 from kedge.config.models import kinds_of
@@ -92,7 +93,7 @@ def _value(spec: str, key: str, text: str, kind: type) -> Any:
         return text == "true"
     if kind in (int, float):
         try:
-            value = ast.literal_eval(text)
+            value = math.inf if text == "inf" else ast.literal_eval(text)
         except (ValueError, SyntaxError):
             value = None
         if type(value) is int:

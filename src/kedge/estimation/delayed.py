@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from kedge.estimation.log import Readings
-from kedge.estimation.step import Outcome, Standing
+from kedge.estimation.step import FilterState, Outcome
 
 
 class Event(NamedTuple):
@@ -43,13 +43,10 @@ class Event(NamedTuple):
 class State(NamedTuple):
     """All that an estimator knows after an event."""
 
-    standing: Standing
+    filter: FilterState
     time: float
+    """That of the filter's state, with all its digits whatever the type of the arrays."""
     control: Any
-    moves: int
-    """Predictions so far, and"""
-    takes: int
-    """readings so far: the next keys follow from them."""
     words: Any = None
     """The same for machine code, which then need not put it together again."""
 
@@ -85,7 +82,9 @@ class Window:
 
     def too_late(self, time: float) -> bool:
         """Whether an event of that time can be taken in no more."""
-        begun = self.origin.moves + self.origin.takes > 0 and time <= self.origin.time
+        state = self.origin.filter
+        counts = state.predictions + state.readings
+        begun = time <= self.origin.time and counts > 0
         return begun or time < max(self.newest.time - self.lag, self.origin.time)
 
     def place(self, event: Event) -> int:

@@ -12,7 +12,7 @@ from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.delayed import Event, State
 from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Rig
-from kedge.estimation.step import Standing
+from kedge.estimation.step import FilterState
 
 NO_EVENT = -1
 
@@ -81,14 +81,12 @@ class Program:
         estimates, history, _ = compiled.tree(self._arrays, views)
         results = estimates.moments, estimates.outcome, history
         self._results, self._form = jax.tree.flatten(results)
-        # And the words of what it carries, in the order of leaves; no words for what no event
-        # changes: that stays as it was.
-        numbers = jax.tree.unflatten(compiled.results, range(compiled.results.num_leaves))
-        self._words = [kernel.ends.get(number) for number in jax.tree.leaves(numbers[-1])]
+        # And the words of the state that it carries; none for what no event changes: that
+        # stays as it was.
+        *_, last = jax.tree.unflatten(compiled.results, range(compiled.results.num_leaves))
+        numbers, self._shape = jax.tree.flatten(last)
         self._kinds = kernel.carried
-        standing, *_ = numbers[-1]
-        numbers, self._shape = jax.tree.flatten(standing)
-        self._changed = [
+        self._words = [
             (place, kernel.ends[number], self._kinds[kernel.ends[number].start])
             for place, number in enumerate(numbers)
             if number in kernel.ends
@@ -110,36 +108,27 @@ class Program:
             for there, value in zip(place, jax.tree.leaves(reading), strict=True):
                 there[0] = value
         carry = self._carry[0]
-        carry[:] = self._packed(_carried(state)) if state.words is None else state.words
+        carry[:] = self._packed(state) if state.words is None else state.words
         self._call(self._address)
         words = carry.copy()
-        standing = self._unpacked(state.standing, words)
-        moves = state.moves + (event.time > state.time)
-        takes = state.takes + (reading is not None)
         control = state.control if event.control is None else event.control
-        after = State(standing, event.time, control, moves, takes, words)
+        after = State(self._unpacked(state.filter, words), event.time, control, words)
         return after, *self._form.unflatten([view.copy() for view in self._results])
 
-    def _packed(self, carried: Any) -> np.ndarray:
-        words = np.empty(len(self._kinds), np.int64)
-        for leaf, part in zip(jax.tree.leaves(carried), self._words, strict=True):
-            if part is not None:
-                array = np.asarray(leaf).ravel()
-                wide = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
-                words[part] = wide.view(np.int64)
+    def _packed(self, state: State) -> np.ndarray:
+        words, leaves = np.empty(len(self._kinds), np.int64), jax.tree.leaves(state.filter)
+        for place, part, _ in self._words:
+            array = np.asarray(leaves[place]).ravel()
+            wide = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
+            words[part] = wide.view(np.int64)
         return words
 
-    def _unpacked(self, like: Standing, words: np.ndarray) -> Standing:
+    def _unpacked(self, like: FilterState, words: np.ndarray) -> Standing:
         leaves, numbers = self._shape.flatten_up_to(like), words.view(np.float64)
-        for place, part, kind in self._changed:
+        for place, part, kind in self._words:
             array = numbers[part] if kind == "f8" else words[part].astype(TYPES[kind])
             leaves[place] = array.reshape(leaves[place].shape)
         return self._shape.unflatten(leaves)
-
-
-def _carried(state: State) -> tuple[Any, ...]:
-    """As the traced pass carries it from event to event."""
-    return state.standing, state.time, state.moves, state.takes
 
 
 def _blank(measures: Any, with_cov: bool) -> Readings:

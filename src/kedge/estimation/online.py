@@ -19,16 +19,15 @@ from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.log import Log, Readings
 from kedge.estimation.native_step import NativeStep
-from kedge.estimation.passage import is_smoothable, passage, require_smoothable
+from kedge.estimation.passage import is_smoothable, require_smoothable
 from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.smoother import backward
 from kedge.estimation.step import (
     Outcome,
-    advance,
     begin,
-    event_keys,
+    predict_to,
+    process_measurement,
     silence,
-    take_in,
     widest,
 )
 
@@ -101,16 +100,16 @@ class Estimator:
         """How often a component of the control was told beyond its limit; it acts as that."""
         still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.nominal_control(0.0)))
         held = still if control is None else _floats(control)
-        standing = _begin(self._filter, self._rig, self._key)
+        state = _begin(self._filter, self._rig, self._key, self._start)
         self._native = NativeStep(
             self._filter, self._rig, held, lag > 0 and is_smoothable(self._filter), engine
         )
-        self._window = Window(State(standing, float(start), held, 0, 0), lag, capacity)
+        self._window = Window(State(state, self._start, held), lag, capacity)
 
     @property
     def belief(self) -> Any:
         """What the filter believes after the newest event."""
-        return self._window.newest.standing.belief
+        return self._window.newest.filter.belief
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -193,7 +192,7 @@ class Estimator:
         found: list[tuple[float, Gaussian]] = []
         later: Any = None
         for entry in reversed(self._window.entries):
-            filtered = _moments(entry.after.standing.belief)
+            filtered = _moments(entry.after.filter.belief)
             if later is not None:
                 filtered = _backward(filtered, found[-1][1], later)
             found.append((entry.event.time, filtered))
@@ -226,29 +225,20 @@ class Estimator:
         if done is not None:
             after, moments, outcome, past = done
             return Entry(event, after, outcome, past, moments)
-        moves = state.moves + (event.time > state.time)
-        takes = state.takes + (event.reading is not None)
-        predict_key, update_key = _keys(self._key, moves, takes)
-        dt = jnp.asarray(event.time - state.time, float)
+        time, dt = (jnp.asarray(x, float) for x in (event.time, event.time - state.time))
         # A smoother's share of the prediction costs little, but only a window keeps it.
         remember = self._window.lag > 0 and is_smoothable(self._filter)
-        belief = state.standing.belief
-        motion = self._filter, self._rig.vehicle, belief, state.control, dt, predict_key
-        moved: Any = _passage(*motion) if remember else (_advance(*motion), None)
-        belief, past = moved
-        standing, outcome = state.standing._replace(belief=belief), silence(self._width)
+        after, record = _predict_to(
+            self._filter, self._rig.vehicle, state.filter, state.control, time, self._key,
+            remember, dt,
+        )  # fmt: skip
+        outcome = silence(self._width)
         if event.reading is not None:
-            standing, outcome = _take_in(
-                self._filter,
-                self._rig.sensors,
-                event.rank,
-                standing,
-                event.reading,
-                jnp.asarray(event.time, float),
-                update_key,
+            after, outcome = _process_measurement(
+                self._filter, self._rig.sensors, event.rank, after, event.reading, self._key
             )
         control = state.control if event.control is None else event.control
-        return Entry(event, State(standing, event.time, control, moves, takes), outcome, past)
+        return Entry(event, State(after, event.time, control), outcome, record)
 
     def _unchanged(self, event: Event, verdict: Verdict) -> Answer:
         said = verdict if event.reading is not None else Verdict.NONE
@@ -298,10 +288,8 @@ def _floats(tree: Any) -> Any:
 
 
 # Compiled, because an operation that is not costs as much as an event.
-_keys = jax.jit(event_keys)
-_begin = eqx.filter_jit(lambda filter, rig, key: as_arrays(begin(filter, rig, key)))
+_begin = eqx.filter_jit(lambda *given: as_arrays(begin(*given)))
 _moments = eqx.filter_jit(lambda belief: belief.moments())
-_advance = eqx.filter_jit(advance)
-_passage = eqx.filter_jit(passage)
-_take_in = eqx.filter_jit(take_in)
+_predict_to = eqx.filter_jit(predict_to)
+_process_measurement = eqx.filter_jit(process_measurement)
 _backward = eqx.filter_jit(backward)

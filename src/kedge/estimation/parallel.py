@@ -21,7 +21,7 @@ from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Log
 from kedge.estimation.reading import sight
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.estimation.step import Outcome, Standing, advance, condition
+from kedge.estimation.step import FilterState, Outcome, advance, process_scheduled
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.filters.gaussian.recursion import (
@@ -163,14 +163,13 @@ def _outcomes(
     """What each reading is to the belief at its event."""
 
     def judge(belief: Gaussian, event: _Event) -> Outcome:
-        return condition(
+        return process_scheduled(
             filter,
             rig.sensors,
-            Standing(belief),
+            FilterState(belief, time=event.time),
             log.readings,
             event.sensor,
             event.row,
-            event.time,
             jax.random.key(0),
         )[1]
 

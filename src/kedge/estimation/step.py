@@ -1,4 +1,4 @@
-"""One event: advance to its time, then use its reading. Batch and online share it."""
+"""One event: predict to its time, then use its reading. Every driver takes these two steps."""
 
 import math
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from kedge.core.manifolds import space_of
 from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import REPEATED, Readings
+from kedge.estimation.passage import passage
 from kedge.estimation.reading import is_positive_definite, sight
 from kedge.estimation.recovery import Clocks, new_clocks, recover
 from kedge.estimation.rig import Installation, Rig, as_arrays
@@ -24,12 +25,18 @@ from kedge.numerics.random import fold_in
 B = TypeVar("B")
 
 
-class Standing(NamedTuple):
-    """What is carried from event to event."""
+class FilterState(NamedTuple):
+    """All that is carried from event to event, by every driver."""
 
     belief: Any
     clocks: Clocks | None = None
     """Of the sensors' outliers; None if there is no recovery from them."""
+    time: Float[Array, ""] | float = 0.0
+    """s; of the newest event."""
+    predictions: Int[Array, ""] | int = 0
+    """How many there were, and"""
+    readings: Int[Array, ""] | int = 0
+    """how many readings: the next keys follow from them."""
 
 
 class Outcome(NamedTuple):
@@ -56,11 +63,14 @@ class Outcome(NamedTuple):
     """An outlier, and let in since there was nothing but outliers for too long."""
 
 
-def begin(filter: AbstractFilter, rig: Rig, key: PRNGKeyArray) -> Standing:
+def begin(
+    filter: AbstractFilter, rig: Rig, key: PRNGKeyArray, time: Scalar = 0.0
+) -> FilterState:
     """The prior as the filter's belief, with room for all that it will carry."""
     belief = filter.init(rig.prior, jr.fold_in(key, 0))
     belief = with_room(filter, rig.vehicle, belief)
-    return Standing(belief, new_clocks(filter, rig.sensors))
+    clocks, none = new_clocks(filter, rig.sensors), jnp.zeros((), int)
+    return FilterState(belief, clocks, jnp.asarray(time, float), none, none)
 
 
 def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) -> B:
@@ -104,21 +114,43 @@ def advance(
     )
 
 
-def condition(
+def predict_to(
+    filter: AbstractFilter,
+    vehicle: AbstractVehicle,
+    state: FilterState,
+    control: Any,
+    time: Scalar,
+    key: PRNGKeyArray,
+    record: bool = False,
+    dt: Scalar | None = None,
+) -> tuple[FilterState, Any]:
+    """The state at ``time``; with ``record`` also what a smoother needs of the prediction.
+
+    An event that is older than the state changes nothing. ``dt`` is the time that passes in s,
+    for drivers that know it better than as a difference.
+    """
+    number = state.predictions + jnp.where(time > state.time, 1, 0)
+    dt = time - state.time if dt is None else dt
+    motion = filter, vehicle, state.belief, control, dt, prediction_key(key, number)
+    belief, kept = passage(*motion) if record else (advance(*motion), None)
+    last = jnp.maximum(time, state.time)
+    return state._replace(belief=belief, time=last, predictions=number), kept
+
+
+def process_scheduled(
     filter: AbstractFilter,
     sensors: Sequence[Installation],
-    standing: Standing,
+    state: FilterState,
     readings: Sequence[Readings],
     sensor: Int[Array, ""],
     row: Int[Array, ""],
-    time: Scalar,
     key: PRNGKeyArray,
-) -> tuple[Standing, Outcome]:
+) -> tuple[FilterState, Outcome]:
     """Update with the sensor that fired; without one (-1) nothing changes."""
     width = widest(sensors)
 
     def no_reading():
-        return standing, silence(width)
+        return state, silence(width)
 
     def branch(place, rows):
         if len(rows.target) == 0:  # it never fires, and there is no row to look at
@@ -126,7 +158,7 @@ def condition(
 
         def use():
             reading = jax.tree.map(lambda leaf: leaf[row], rows)
-            return take_in(filter, sensors, place, standing, reading, time, key)
+            return process_measurement(filter, sensors, place, state, reading, key)
 
         return use
 
@@ -134,17 +166,21 @@ def condition(
     return lax.switch(sensor + 1, branches)
 
 
-def take_in(
+def process_measurement(
     filter: AbstractFilter,
     sensors: Sequence[Installation],
     place: int,
-    standing: Standing,
+    state: FilterState,
     reading: Readings,
-    time: Scalar,
     key: PRNGKeyArray,
-) -> tuple[Standing, Outcome]:
-    """Use one reading of the sensor at ``place`` if it is fit, and say what became of it."""
-    belief, clocks = standing
+) -> tuple[FilterState, Outcome]:
+    """Use one reading of the sensor at ``place`` if it is fit, and say what became of it.
+
+    It was taken at the state's time; ``key`` is that of the whole run.
+    """
+    belief, clocks, time = state.belief, state.clocks, state.time
+    number = state.readings + 1
+    key = reading_key(key, number)
     installation = sensors[place]
     judge = installation.judged(filter)
     model, measurement = sight(installation, reading)
@@ -211,7 +247,7 @@ def take_in(
         outlying=outlying,
         recovered=fused & recovered,
     )
-    return Standing(kept, clocks), outcome
+    return state._replace(belief=kept, clocks=clocks, readings=number), outcome
 
 
 def silence(width: int) -> Outcome:
@@ -239,15 +275,18 @@ def widest(sensors: Sequence[Installation]) -> int:
     return max((space_of(s.sensor.measures).size for s in sensors), default=0)
 
 
-def event_keys(
-    key: PRNGKeyArray, moves: Int[Array, ""] | int, takes: Int[Array, ""] | int
-) -> tuple[PRNGKeyArray, PRNGKeyArray]:
-    """Keys of the prediction number ``moves`` and of the reading number ``takes``, from 1.
+def prediction_key(key: PRNGKeyArray, number: Int[Array, ""] | int) -> PRNGKeyArray:
+    """The key of a prediction, counted from 1.
 
-    Events at which nothing happens (a time asked for twice, a control) count for neither, so
-    they change no draw. ``key`` itself is never used to draw, and no key is used twice.
+    Events at which nothing happens (a time asked for twice, a control) do not count, so they
+    change no draw. ``key`` itself is never used to draw, and no key is used twice.
     """
-    return fold_in(fold_in(key, 1), moves), fold_in(fold_in(key, 2), takes)
+    return fold_in(fold_in(key, 1), number)
+
+
+def reading_key(key: PRNGKeyArray, number: Int[Array, ""] | int) -> PRNGKeyArray:
+    """The key of a reading, counted from 1; see :func:`prediction_key`."""
+    return fold_in(fold_in(key, 2), number)
 
 
 def _finite(tree: Any) -> Bool[Array, ""]:

@@ -11,15 +11,9 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.verdicts import Verdict
 from kedge.estimation import views
 from kedge.estimation.log import Log
-from kedge.estimation.passage import is_smoothable, passage
+from kedge.estimation.passage import is_smoothable
 from kedge.estimation.rig import Rig
-from kedge.estimation.step import (
-    Outcome,
-    advance,
-    begin,
-    condition,
-    event_keys,
-)
+from kedge.estimation.step import FilterState, Outcome, begin, predict_to, process_scheduled
 
 if TYPE_CHECKING:
     import pandas
@@ -71,49 +65,32 @@ def pass_over(
 def whole_pass(
     filter: AbstractFilter, rig: Rig, log: Log, key: PRNGKeyArray, keep: bool
 ) -> tuple[Estimates, Any, Any]:
-    """The same, and what is left to the next event: standing, time, moves and takes."""
+    """The same, and the state after the last event."""
+    record = keep and is_smoothable(filter)
 
-    def predict(belief, control, dt, key):
-        motion = filter, rig.vehicle, belief, control, dt, key
-        if keep and is_smoothable(filter):
-            return passage(*motion)
-        return advance(*motion), None
-
-    def body(carry: tuple[Any, ...], event: Any) -> tuple[Any, Any]:
-        standing, last, moves, takes, known = carry
+    def body(carry: tuple[FilterState, Any], event: Any) -> tuple[Any, Any]:
+        state, known = carry
         (time, sensor, row), control = event
         # Older than the belief: nothing happens, and the event does not count (as online).
-        late = time < last
-        moves = moves + jnp.where(time > last, 1, 0)
-        takes = takes + jnp.where(late | (sensor < 0), 0, 1)
-        predict_key, update_key = event_keys(key, moves, takes)
-        belief, history = predict(standing.belief, control, time - last, predict_key)
-        standing, outcome = condition(
-            filter,
-            rig.sensors,
-            standing._replace(belief=belief),
-            log.readings,
-            jnp.where(late, -1, sensor),
-            row,
-            time,
-            update_key,
+        late = time < state.time
+        changed = (time > state.time) | (sensor >= 0)
+        state, history = predict_to(filter, rig.vehicle, state, control, time, key, record)
+        fired = jnp.where(late, -1, sensor)
+        state, outcome = process_scheduled(
+            filter, rig.sensors, state, log.readings, fired, row, key
         )
         verdict = jnp.where(late & (sensor >= 0), Verdict.LATE, outcome.verdict)
         outcome = outcome._replace(verdict=verdict)
-        changed = (time > last) | (sensor >= 0)
-        moments = _moments(standing.belief, changed, known)
+        moments = _moments(state.belief, changed, known)
         known = known if known is None else moments
-        carry = standing, jnp.maximum(time, last), moves, takes, known
-        return carry, (moments, outcome, history)
+        return (state, known), (moments, outcome, history)
 
     filter = filter.bind_sensors(rig.names)
-    none = jnp.zeros((), int)
     first = begin(filter, rig, key)
     known = first.belief.moments() if isinstance(first.belief, CLOUDS) else None
-    start = first, jnp.zeros(()), none, none, known
     events = log.schedule, log.controls
-    left, (moments, outcome, history) = lax.scan(body, start, events)
-    return Estimates(log.schedule.time, moments, outcome), history, left[:-1]
+    (last, _), (moments, outcome, history) = lax.scan(body, (first, known), events)
+    return Estimates(log.schedule.time, moments, outcome), history, last
 
 
 def _moments(belief: Any, changed: Bool[Array, ""], known: Gaussian | None) -> Gaussian:

@@ -19,7 +19,7 @@ from kedge.core.manifolds import space_of
 from kedge.core.quantities import Scalar
 from kedge.estimation.log import SECOND, Readings
 from kedge.estimation.rig import Installation, Rig
-from kedge.estimation.step import Standing, advance, begin, event_keys, take_in
+from kedge.estimation.step import FilterState, begin, predict_to, process_measurement
 from kedge.numerics.linalg import square_root
 from kedge.simulation.faults import DrawnFault, changed
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
@@ -216,14 +216,6 @@ class _LastReadings(AbstractListener):
         return {name: value for name, value in fixed.items() if hasattr(self.first, name)}
 
 
-class _Memory(NamedTuple):
-    """Of a filter in the loop, as of any pass over a log."""
-
-    standing: Standing
-    moves: Int[Array, ""]
-    takes: Int[Array, ""]
-
-
 class _Filtered(AbstractListener):
     """The guidance believes a filter, which hears every reading as it is sensed."""
 
@@ -231,27 +223,24 @@ class _Filtered(AbstractListener):
     filter: AbstractFilter
     key: PRNGKeyArray
 
-    def memory(self) -> _Memory:
-        none = jnp.zeros((), int)
-        return _Memory(begin(self.filter, self.rig, self.key), none, none)
+    def memory(self) -> FilterState:
+        return begin(self.filter, self.rig, self.key)
 
-    def believed(self, memory: _Memory, truth: Any, time: Scalar) -> Any:
-        return memory.standing.belief.moments().mean
+    def believed(self, memory: FilterState, truth: Any, time: Scalar) -> Any:
+        return memory.belief.moments().mean
 
-    def moved(self, memory: _Memory, control: Any, before: Scalar, time: Scalar) -> _Memory:
-        standing, moves, takes = memory
-        key, _ = event_keys(self.key, moves + 1, takes)
-        motion = self.filter, self.rig.vehicle, standing.belief, control
-        belief = advance(*motion, time - before, key)
-        return _Memory(standing._replace(belief=belief), moves + 1, takes)
+    def moved(
+        self, memory: FilterState, control: Any, before: Scalar, time: Scalar
+    ) -> FilterState:
+        return predict_to(
+            self.filter, self.rig.vehicle, memory, control, time, self.key, dt=time - before
+        )[0]
 
-    def heard(self, memory: _Memory, place: int, reading: Readings, time: Scalar) -> _Memory:
-        standing, moves, takes = memory
-        _, key = event_keys(self.key, moves, takes + 1)
-        standing, _ = take_in(
-            self.filter, self.rig.sensors, place, standing, reading, jnp.asarray(time), key
-        )
-        return _Memory(standing, moves, takes + 1)
+    def heard(
+        self, memory: FilterState, place: int, reading: Readings, time: Scalar
+    ) -> FilterState:
+        sensors = self.rig.sensors
+        return process_measurement(self.filter, sensors, place, memory, reading, self.key)[0]
 
 
 def _at(step: int, tree: Any) -> Any:
