@@ -85,7 +85,7 @@ class Window:
         state = self.origin.filter
         counts = state.predictions + state.readings
         begun = time <= self.origin.time and counts > 0
-        return begun or time < max(self.newest.time - self.lag, self.origin.time)
+        return bool(begun) or time < max(self.newest.time - self.lag, self.origin.time)
 
     def place(self, event: Event) -> int:
         """Where an event belongs: behind all that come before it or at its turn."""

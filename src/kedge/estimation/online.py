@@ -288,7 +288,7 @@ def _floats(tree: Any) -> Any:
 
 
 # Compiled, because an operation that is not costs as much as an event.
-_begin = eqx.filter_jit(lambda *given: as_arrays(begin(*given)))
+_begin = eqx.filter_jit(lambda filter, rig, key, time: as_arrays(begin(filter, rig, key, time)))
 _moments = eqx.filter_jit(lambda belief: belief.moments())
 _predict_to = eqx.filter_jit(predict_to)
 _process_measurement = eqx.filter_jit(process_measurement)
