@@ -1,5 +1,7 @@
 """Filters as they are typed."""
 
+import math
+
 import pytest
 
 from kedge.config.filters import build_filter, split_names
@@ -15,6 +17,11 @@ def test_filters_from_what_is_typed():
     assert isinstance(particle, BootstrapParticle)
     assert (particle.count, particle.threshold) == (50, 1.0)
     assert type(particle.threshold) is float
+
+
+def test_a_recovery_is_switched_off_by_infinity():
+    assert build_filter("gated:recovery=inf").recovery_time() == math.inf
+    assert build_filter("gated:recovery=3").recovery_time() == 3.0
 
 
 def test_a_filter_in_a_filter():

@@ -123,7 +123,7 @@ class Program:
             words[part] = wide.view(np.int64)
         return words
 
-    def _unpacked(self, like: FilterState, words: np.ndarray) -> Standing:
+    def _unpacked(self, like: FilterState, words: np.ndarray) -> FilterState:
         leaves, numbers = self._shape.flatten_up_to(like), words.view(np.float64)
         for place, part, kind in self._words:
             array = numbers[part] if kind == "f8" else words[part].astype(TYPES[kind])
