@@ -43,7 +43,11 @@ class Simulation(NamedTuple):
 
 
 def simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
-    """Draw a true initial state, drive it or let its world do so, and sense it."""
+    """Draw a true initial state, drive it or let its world do so, and sense it.
+
+    A pure function of the key: ``jax.vmap(lambda key: simulate(scenario, key))(keys)`` are many
+    runs, each the same as by itself; :func:`with_readings` makes a log of one, also in a trace.
+    """
     return _simulate(as_arrays(scenario), key)
 
 
