@@ -25,7 +25,7 @@ from kedge.tuning.tuning import Search, Tuned
 from kedge.tuning.tuning import tune as tuned_by
 
 if TYPE_CHECKING:
-    import pandas
+    import pandas  # pyright: ignore[reportMissingTypeStubs]
 
 Progress = Callable[[str], None]
 
@@ -79,7 +79,8 @@ class StudyResults:
         return Path(folder) / page.name
 
     def _repr_html_(self) -> str:
-        return self.to_pandas().to_html(float_format="{:.4g}".format)
+        page: Any = self.to_pandas()
+        return page.to_html(float_format="{:.4g}".format)
 
 
 def study(

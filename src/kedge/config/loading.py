@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -81,12 +81,15 @@ def as_overrides(settings: Settings | None) -> dict[str, str]:
 
 def _toml(value: Any) -> str:
     if isinstance(value, Mapping):
-        inside = ", ".join(f"{json.dumps(key)} = {_toml(part)}" for key, part in value.items())
+        table = cast("Mapping[str, Any]", value)
+        inside = ", ".join(f"{json.dumps(key)} = {_toml(part)}" for key, part in table.items())
         return f"{{{inside}}}"
     if isinstance(value, str | bool):
         return json.dumps(value)
-    if isinstance(value, int | float | np.number):
-        return repr(float(value) if not isinstance(value, int) else value)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float | np.floating | np.integer):
+        return repr(value.item() if isinstance(value, np.generic) else value)
     return f"[{', '.join(map(_toml, value))}]"
 
 

@@ -6,23 +6,24 @@ a sensor knows only the names of the state fields that it reads.
 
 import abc
 import math
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from typing_extensions import TypeVar
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.manifolds import space, space_of
 from kedge.core.quantities import Scalar
 
-S = TypeVar("S")  # state
-U = TypeVar("U")  # control
-W = TypeVar("W")  # process noise
-Z = TypeVar("Z")  # measurement
-B = TypeVar("B")  # belief
+S = TypeVar("S", default=Any)  # state
+U = TypeVar("U", default=Any)  # control
+W = TypeVar("W", default=Any)  # process noise
+Z = TypeVar("Z", default=Any)  # measurement
+B = TypeVar("B", default=Any)  # belief
 
 
 class AbstractVehicle(eqx.Module, Generic[S, U, W]):

@@ -16,19 +16,19 @@ from typing import (
     Any,
     Generic,
     Protocol,
-    TypeVar,
     get_type_hints,
     runtime_checkable,
 )
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
+from typing_extensions import TypeVar
 
 from kedge.core import rotations
 from kedge.core.errors import ContractError
 from kedge.core.rotations import wrap
 
-S = TypeVar("S", bound=tuple)
+S = TypeVar("S", bound=tuple[Any, ...], default=Any)
 if TYPE_CHECKING:
     Point = Array
 else:

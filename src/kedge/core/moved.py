@@ -106,7 +106,7 @@ MOVED_TO = {
 
 def moved_modules() -> dict[str, str]:
     """Old module -> new module."""
-    found = {}
+    found: dict[str, str] = {}
     for new, sources in MOVED_TO.items():
         for old, names in sources.items():
             for pair in names.split():

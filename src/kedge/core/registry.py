@@ -14,11 +14,13 @@ import pkgutil
 import sys
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
+
+from typing_extensions import TypeVar
 
 from kedge.core.errors import ContractError, UnknownName
 
-T = TypeVar("T")
+T = TypeVar("T", default=Any)
 Member = TypeVar("Member", bound=Callable[..., Any])
 
 
@@ -126,7 +128,8 @@ def _name_owner(member: Callable[..., Any]) -> None:
     There is a ``State`` in every module of a vehicle: it shows as ``unicycle.State(...)``.
     """
     module = sys.modules.get(member.__module__)
-    for cls in list(vars(module).values()) if module is not None else []:
+    values: list[Any] = [] if module is None else list(vars(module).values())
+    for cls in values:
         if (
             isinstance(cls, type)
             and issubclass(cls, tuple)
@@ -138,7 +141,7 @@ def _name_owner(member: Callable[..., Any]) -> None:
 
 def _owned_repr(self: Any) -> str:
     """``unicycle.State(position=..., heading=...)``."""
-    cls = type(self)
+    cls: type[Any] = type(self)
     fields = ", ".join(f"{name}={part!r}" for name, part in self._asdict().items())
     return f"{cls.__module__.rpartition('.')[2]}.{cls.__qualname__}({fields})"
 

@@ -10,7 +10,7 @@ from kedge.core.manifolds import Space, space
 from kedge.core.verdicts import Verdict
 
 if TYPE_CHECKING:
-    import pandas
+    import pandas  # pyright: ignore[reportMissingTypeStubs]
 
 BOUND = 1.959963984540054
 """Standard deviations within which 95 % of a normal distribution lie."""
@@ -126,7 +126,7 @@ def pandas_module() -> Any:
         KedgeError: it is not installed.
     """
     try:
-        import pandas
+        import pandas  # pyright: ignore[reportMissingTypeStubs]
     except ImportError as error:
         why = "to_pandas() needs pandas: pip install 'kedge-nav[studio]'"
         raise KedgeError(why) from error

@@ -52,7 +52,7 @@ def listed(room: str) -> dict[str, tuple[str, str]]:
 
 def text_of(names: dict[str, tuple[str, str]]) -> str:
     """The lines of a stub."""
-    lines = []
+    lines: list[str] = []
     for public, (module, attribute) in sorted(names.items(), key=lambda item: item[1]):
         line = f"from {module} import {attribute} as {public}"
         if len(line) > WIDTH:

@@ -1,7 +1,7 @@
 """A car that keeps its lane at constant speed, blown about, steered by what is believed."""
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,7 +65,7 @@ class LaneKeeping(AbstractGuidedWorld):
         noises = space(car.noise_density())
         white = jr.normal(key, (scenario.steps, noises.size))
         gusts = jax.vmap(noises.unflatten)(white * process_std(car, scenario.dt)[None])
-        bends = jax.vmap(self.route.bend)(jnp.arange(scenario.steps) * scenario.dt)
+        bends: Any = jax.vmap(self.route.bend)(jnp.arange(scenario.steps) * scenario.dt)
         return start, Ahead(gusts, bends)
 
     def state(self, body: State) -> State:
