@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from kedge.core.errors import ContractError, DataError
 from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
+from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.online import Estimator, replay
 from kedge.estimation.smoother import smooth
 from kedge.filters.gaussian.extended import ExtendedKalman
@@ -195,3 +196,15 @@ def test_the_fixed_lag_smoother_is_the_fixed_interval_smoother_of_what_came(rig,
 def test_no_smoothing_without_a_gaussian(rig, key):
     with pytest.raises(ContractError, match="cannot be smoothed"):
         Estimator(BootstrapParticle(count=5), rig, key, lag=1.0).smoothed()
+
+
+def test_an_event_at_the_time_of_one_forgotten_is_too_late():
+    """Where memory ends before the lag does; the start itself has nothing before it."""
+    start = State(None, 0.0, None, 0, 0)
+    window = Window(start, lag=10.0, capacity=1)
+    assert not window.too_late(0.0)
+    for number, time in enumerate((1.0, 2.0), start=1):
+        after = State(None, time, None, number, number)
+        window.replace(len(window.entries), [Entry(Event(time, 0, 0), after, None, None)])
+    assert window.too_late(1.0)
+    assert not window.too_late(1.1)
