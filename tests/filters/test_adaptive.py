@@ -106,6 +106,12 @@ def test_a_missing_component_counts_neither_way(key):
     residual = 3.0 - before.mean.position[0]
     exact = -0.5 * (residual**2 / variance + np.log(2 * np.pi * variance))
     np.testing.assert_allclose(half.outcome.log_likelihood, exact, rtol=1e-10)
+    # Of a half that is there, learning goes by one degree of freedom and not by two.
+    known = other.belief.factor["gnss"]
+    sample = residual**2 - before.cov[0, 0]
+    np.testing.assert_allclose(
+        one.belief.factor["gnss"], known + (sample - known) / 2, rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize(

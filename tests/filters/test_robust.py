@@ -90,6 +90,22 @@ def location(loss, tuning, readings):
     return jax.lax.scan(weigh, jnp.median(readings), None, length=15)[0]
 
 
+PENALTIES = {
+    "student": lambda x, v: (v + 1) / 2 * jnp.log(1 + x**2 / v),
+    "huber": lambda x, c: c * jnp.abs(x) - c**2 / 2,
+    "cauchy": lambda x, c: c**2 / 2 * jnp.log(1 + x**2 / c**2),
+    "geman-mcclure": lambda x, c: x**2 / 2 / (1 + x**2 / c**2),
+}
+"""What an estimator with the loss minimises, beyond one or c standard deviations."""
+
+
+@pytest.mark.parametrize("loss", PENALTIES)
+def test_the_pull_of_a_residual_is_the_slope_of_what_is_minimised(loss):
+    for residual in (2.6, -4.0, 9.0):
+        pull = residual / Loss(loss, 2.5).factor(jnp.array([residual]), jnp.eye(1), 1)
+        np.testing.assert_allclose(pull, jax.grad(PENALTIES[loss])(residual, 2.5), rtol=1e-12)
+
+
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "geman-mcclure"])
 def test_the_default_scale_costs_a_twentieth_where_noise_is_gaussian(loss, key):
     """The variance of the mean, 1 / n, over that of the estimate: 95 % by each default."""

@@ -57,3 +57,9 @@ def test_measured_components_stand_where_their_nearest_one_does():
     np.testing.assert_array_equal(
         between(distances), np.abs(np.subtract.outer(measured, measured))
     )
+
+
+def test_distances_between_measured_components_are_the_same_both_ways():
+    """At 1.4 and 4 among components at 0 to 5: 2.6 from one side and 3 from the other."""
+    distances = np.abs(np.subtract.outer([1.4, 4.0], np.arange(6.0)))
+    np.testing.assert_allclose(between(distances), [[0.4, 2.8], [2.8, 0.0]])
