@@ -13,7 +13,7 @@ import pytest
 from kedge.core import registry
 from kedge.core.errors import ContractError
 from kedge.formats.readers import read_log
-from kedge.testing import check_filter, check_sensor, check_vehicle
+from kedge.testing import check_sensor, check_vehicle
 
 VEHICLE = '''
 from typing import NamedTuple
@@ -155,7 +155,6 @@ def test_they_are_members_and_are_shown(newcomers, kedge):
 def test_they_keep_their_contracts(newcomers):
     check_vehicle("newcomer")
     check_sensor("newcomer")
-    check_filter("newcomer")
 
 
 def test_a_log_is_read_by_its_format(newcomers, tmp_path):
