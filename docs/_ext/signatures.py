@@ -40,10 +40,17 @@ def _annotated(module: str, qualname: str) -> dict[str, str]:
     """Field to its declaration, ``std: Metres = 1.0``."""
     node = _classes(module).get(qualname)
     return {
-        each.target.id: ast.unparse(each)
+        each.target.id: ast.unparse(_plain(each))
         for each in (node.body if node else [])
         if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
     }
+
+
+def _plain(node: ast.AnnAssign) -> ast.AnnAssign:
+    """``eqx.field(static=True, default=8)`` is 8 to whoever calls."""
+    if isinstance(node.value, ast.Call) and ast.unparse(node.value.func).endswith("field"):
+        node.value = {key.arg: key.value for key in node.value.keywords}.get("default")
+    return node
 
 
 @functools.cache

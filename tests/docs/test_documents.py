@@ -12,7 +12,7 @@ BLOCK = re.compile(
 DOCUMENTS = [
     path.relative_to(ROOT)
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if BLOCK.search(path.read_text())
+    if BLOCK.search(path.read_text()) and path.name != "plug-in.md"  # it has a test of its own
 ]
 # What a newcomer reads first is always tried.
 FIRST = {Path("README.md"), Path("docs/how-to/add-a-vehicle.md")}
