@@ -10,7 +10,7 @@ from kedge.core.errors import ContractError
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings
 from kedge.estimation.online import Estimator
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Installation, Rig
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.filters.wrappers.adaptive import Adaptive
@@ -58,7 +58,7 @@ def learned(window, gnss_std, log_std, steps=3000):
 def named(installation):
     """The model of one reading of an installed sensor."""
     blank = {"gnss": Measurement(jnp.zeros(2)), "log": Speed(jnp.zeros(2))}[installation.name]
-    return sight(installation, Readings(blank, jnp.asarray(0)))[0]
+    return bind_reading(installation, Readings(blank, jnp.asarray(0)))[0]
 
 
 def test_the_true_noise_is_learned_by_sensor():

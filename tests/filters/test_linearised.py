@@ -12,7 +12,7 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.quantities import Acceleration, Metres, Speed
 from kedge.estimation.log import Readings
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Installation
 from kedge.filters.ensemble.stochastic import EnsembleKalman
 from kedge.filters.gaussian.extended import ExtendedKalman
@@ -129,7 +129,7 @@ def test_options_that_are_unknown():
 def test_raw_readings_replace_what_is_believed(key):
     vehicle = ConstantVelocity()
     prior = Gaussian(vehicle.start(), jnp.eye(4) * 0.01)
-    model, reading = sight(
+    model, reading = bind_reading(
         Installation("gnss", Gnss(std=2.0)),
         Readings(Fix(jnp.array([7.0, jnp.nan])), jnp.asarray(-1), None),
     )

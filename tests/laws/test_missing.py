@@ -14,7 +14,7 @@ from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Bearing, Position, Range
 from kedge.core.registry import filters
 from kedge.estimation.log import Readings
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Installation
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.gaussian.unscented import UnscentedKalman
@@ -94,7 +94,7 @@ def test_half_a_reading_is_that_of_a_sensor_with_half(name, key):
             place = jnp.array([1.5, 0.4]).at[missing].set(jnp.nan)
             reading = Readings(Measurement(place), jnp.asarray(0), jnp.asarray(COV))
             partly = filter.update(
-                *_first(sight(Installation("gnss", Gnss()), reading), belief), key
+                *_first(bind_reading(Installation("gnss", Gnss()), reading), belief), key
             )
             there = 1 - missing
             seen, variance = (1.5, 0.4)[there], COV[there, there]
@@ -173,7 +173,9 @@ def test_half_a_nonlinear_reading(filter, key):
         found = []
         for partly, sensor, value in cases:
             reading = Readings(partly, jnp.asarray(0))
-            model, measurement = sight(Installation("camera", Landmarks(target=MAP)), reading)
+            model, measurement = bind_reading(
+                Installation("camera", Landmarks(target=MAP)), reading
+            )
             found.append(
                 (
                     filter.update(model, belief, measurement, key)[0],

@@ -7,7 +7,7 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.estimation.log import Readings
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Installation
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.numerics.noise import process_std
@@ -76,7 +76,7 @@ def test_open_loop_and_closed_loop_agree():
             belief = filter.predict(vehicle, belief, Control(push), dt, jax.random.key(0))
             for index in range(4):
                 reading = Readings(Measurement(measured[index]), jnp.asarray(index))
-                model, z = sight(installed, reading)
+                model, z = bind_reading(installed, reading)
                 belief, _ = filter.update(model, belief, z, jax.random.key(0))
             return belief, belief.mean.position
 

@@ -19,16 +19,16 @@ from kedge.core.manifolds import space, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Log
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.step import FilterState, Outcome, advance, process_scheduled
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.filters.gaussian.recursion import (
     AbstractMomentFilter,
+    expectation_of,
     motion,
     moved,
-    sight_of,
     turned,
 )
 from kedge.numerics import associative
@@ -264,8 +264,8 @@ def _element(
 
         def use() -> FilterElement:
             reading = jax.tree.map(lambda leaf: leaf[event.row], rows)
-            model, measurement = sight(installation, reading)
-            expect, outputs = sight_of(model, at), space(measurement)
+            model, measurement = bind_reading(installation, reading)
+            expect, outputs = expectation_of(model, at), space(measurement)
             if isinstance(filter, Kalman):
                 filter.strategy().image(expect, rig.prior.cov)
 

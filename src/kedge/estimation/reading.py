@@ -13,7 +13,7 @@ from kedge.estimation.rig import Installation
 from kedge.numerics.linalg import cholesky, symmetric
 
 
-class Sighting(AbstractMeasurementModel):
+class BoundMeasurement(AbstractMeasurementModel):
     """The measurement model of one reading.
 
     Missing (NaN) components are replaced by the chart's origin on both sides, with unit noise:
@@ -82,7 +82,7 @@ class Sighting(AbstractMeasurementModel):
         return self.installation.name
 
 
-def sight(installation: Installation, reading: Readings) -> tuple[Sighting, Any]:
+def bind_reading(installation: Installation, reading: Readings) -> tuple[BoundMeasurement, Any]:
     """Bind one reading to its sensor; return the model and the completed measurement."""
     outputs = space_of(installation.sensor.measures)
     measurement, present = outputs.complete(reading.measurement)
@@ -95,7 +95,7 @@ def sight(installation: Installation, reading: Readings) -> tuple[Sighting, Any]
         )
     )
     target = jnp.maximum(reading.target, 0)
-    return Sighting(installation, target, present, missing, reading.cov), measurement
+    return BoundMeasurement(installation, target, present, missing, reading.cov), measurement
 
 
 def is_positive_definite(cov: Float[Array, "m m"]) -> Bool[Array, ""]:

@@ -33,7 +33,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from kedge.core.contracts import AbstractFilter, AbstractMeasurementModel, Innovation
 from kedge.core.quantities import Scalar
 from kedge.estimation.log import Readings
-from kedge.estimation.reading import sight
+from kedge.estimation.reading import bind_reading
 from kedge.estimation.rig import Installation
 from kedge.numerics.branching import whenever
 
@@ -104,7 +104,7 @@ def recover(
         def by(target: Int[Array, ""]) -> Bool[Array, ""]:
             reading = Readings(other.expect(expected_by, target), target, None)
             # A question, not an update: what it draws is thrown away.
-            model, measurement = sight(other, reading)
+            model, measurement = bind_reading(other, reading)
             moved = trusting.update(model, anew, measurement, key)[1]
             return ~(moved.nis <= CONFIRMED * moved.dof)
 

@@ -16,7 +16,7 @@ from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.passage import passage
-from kedge.estimation.reading import is_positive_definite, sight
+from kedge.estimation.reading import bind_reading, is_positive_definite
 from kedge.estimation.recovery import Clocks, new_clocks, recover
 from kedge.estimation.rig import Installation, Rig, as_arrays
 from kedge.numerics.linalg import cholesky, solve_lower
@@ -183,7 +183,7 @@ def process_measurement(
     key = reading_key(key, number)
     installation = sensors[place]
     judge = installation.judged(filter)
-    model, measurement = sight(installation, reading)
+    model, measurement = bind_reading(installation, reading)
     posterior, score = judge.update(model, belief, measurement, key)
     outlying = jnp.asarray(score.outlying)
     recovered = contradicted = jnp.asarray(False)

@@ -17,7 +17,7 @@ from kedge.core.contracts import (
 from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
-from kedge.filters.gaussian.recursion import motion, moved, sight_of, turned
+from kedge.filters.gaussian.recursion import expectation_of, motion, moved, turned
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, mirrored, square_root
 from kedge.numerics.noise import process_std
@@ -110,7 +110,9 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
         """Condition on one measurement, seen from the points as they are."""
         del key
         rule = self._rule(len(belief.cov))
-        expected, spread = weighted_images(rule, sight_of(model, belief.mean), belief.errors)
+        expected, spread = weighted_images(
+            rule, expectation_of(model, belief.mean), belief.errors
+        )
         weights = jnp.asarray(rule.cov_weights)[:, None]
         cov = mirrored(spread.T @ (weights * spread) + model.noise_cov(belief.mean))
         root = cholesky(cov)

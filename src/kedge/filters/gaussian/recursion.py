@@ -88,7 +88,7 @@ class AbstractMomentFilter(AbstractMomentPrediction):
     ) -> tuple[Any, Innovation]:
         """Condition on one measurement."""
         del key
-        image = self.strategy().image(sight_of(model, belief.mean), belief.cov)
+        image = self.strategy().image(expectation_of(model, belief.mean), belief.cov)
         noise_cov = jnp.asarray(model.noise_cov(belief.mean), belief.cov.dtype)
         cov = mirrored(image.cov + noise_cov)
         root = cholesky(cov)
@@ -116,7 +116,7 @@ def motion(vehicle: AbstractVehicle, mean: Any, control: Any, dt: Scalar) -> Fun
     return step
 
 
-def sight_of(model: AbstractMeasurementModel, mean: Any) -> Function:
+def expectation_of(model: AbstractMeasurementModel, mean: Any) -> Function:
     """The expected measurement as a function of the error about ``mean``."""
     states = space(mean)
     return lambda error: model.expect(states.boxplus(mean, error))

@@ -13,7 +13,12 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from kedge.core.contracts import AbstractMeasurementModel, Innovation
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
-from kedge.filters.gaussian.recursion import AbstractMomentPrediction, moved, sight_of, turned
+from kedge.filters.gaussian.recursion import (
+    AbstractMomentPrediction,
+    expectation_of,
+    moved,
+    turned,
+)
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, solve_lower, square_root, symmetric
 
@@ -55,7 +60,7 @@ class AbstractRelinearised(AbstractMomentPrediction):
     ) -> tuple[Any, Innovation]:
         """Condition on one measurement, several times over."""
         del key
-        strategy, expect = self.strategy(), sight_of(model, belief.mean)
+        strategy, expect = self.strategy(), expectation_of(model, belief.mean)
         outputs = space(measurement)
         prior = square_root(belief.cov)
         one = jnp.eye(prior.shape[0], dtype=prior.dtype)

@@ -18,7 +18,7 @@ from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.filters.gaussian.recursion import AbstractMomentFilter, motion, moved, sight_of
+from kedge.filters.gaussian.recursion import AbstractMomentFilter, expectation_of, motion, moved
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import solve_lower, square_root, triangularise
 from kedge.numerics.noise import process_std
@@ -100,7 +100,7 @@ class SquareRootKalman(AbstractGaussianFilter):
     ) -> tuple[Any, Innovation]:
         """Triangularise the joint deviations of measurement and state."""
         del key
-        expect = sight_of(model, belief.mean)
+        expect = expectation_of(model, belief.mean)
         image = self._moments().strategy().factors(expect, belief.root)
         residual = space(image.mean).boxminus(measurement, image.mean).astype(image.after.dtype)
         size = residual.shape[0]

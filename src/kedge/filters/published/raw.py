@@ -16,7 +16,7 @@ from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.filters.gaussian.recursion import moved, sight_of, turned
+from kedge.filters.gaussian.recursion import expectation_of, moved, turned
 from kedge.numerics.linalg import cholesky, gain, symmetric
 from kedge.numerics.propagation import Taylor
 
@@ -50,7 +50,7 @@ class Raw(AbstractGaussianFilter):
         """Take over the reading."""
         _, score = ExtendedKalman().update(model, belief, measurement, key)
         unit = jnp.eye(belief.cov.shape[0], dtype=belief.cov.dtype)
-        factors = Taylor().factors(sight_of(model, belief.mean), unit)
+        factors = Taylor().factors(expectation_of(model, belief.mean), unit)
         H, expected = factors.after, factors.mean
         # A component that is missing has no slope: it must not be divided by.
         none = jnp.all(H == 0, axis=1)
