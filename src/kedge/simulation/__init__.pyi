@@ -9,8 +9,8 @@ from kedge.simulation.fault_kinds import Duplicate as Duplicate
 from kedge.simulation.fault_kinds import Excess as Excess
 from kedge.simulation.fault_kinds import Jitter as Jitter
 from kedge.simulation.fault_kinds import NotANumber as Nan
-from kedge.simulation.fault_kinds import OutOfOrder as OutOfOrder
 from kedge.simulation.fault_kinds import Outliers as Outliers
+from kedge.simulation.fault_kinds import OutOfOrder as OutOfOrder
 from kedge.simulation.fault_kinds import Quantisation as Quantisation
 from kedge.simulation.fault_kinds import Stuck as Stuck
 from kedge.simulation.routes import Arcs as Arcs
