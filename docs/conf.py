@@ -1,11 +1,9 @@
 """Settings of the documentation's site; `make docs` builds it."""
 
-import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-os.environ.setdefault("MPLBACKEND", "Agg")
 
 import kedge
 
