@@ -202,6 +202,7 @@ def work(folder):
     with results_folder.results_folder(folder, "estimate") as draft:
         for name in ("summary.json", "fresh.csv"):
             (draft / name).write_text("2")
+        (draft / "same.csv").write_text("s")
         (draft / "figures").mkdir()
         (draft / "figures" / "b.svg").write_text("2")
 
@@ -217,8 +218,8 @@ for remaining, folder in enumerate(sys.argv[1:]):
 @pytest.mark.parametrize("foreign", [False, True])
 def test_a_kill_at_each_step(tmp_path, foreign):
     """Whatever the step: the old result or the new one is whole after the next run's begin."""
-    old = {"summary.json": "1", "old.csv": "1", "figures/a.svg": "1"}
-    new = {"summary.json": "2", "fresh.csv": "2", "figures/b.svg": "2"}
+    old = {"summary.json": "1", "old.csv": "1", "figures/a.svg": "1", "same.csv": "s"}
+    new = {"summary.json": "2", "fresh.csv": "2", "figures/b.svg": "2", "same.csv": "s"}
     mine = {"notes": "mine", "figures/mine": "mine"} if foreign else {}
     folders = [tmp_path / str(step) / "out" for step in range(60)]
     for out in folders:

@@ -64,6 +64,8 @@ class Trial(NamedTuple):
     kept: str
     """What is there at the next run's begin: old, new, or part of a new one."""
     complaints: list[str]
+    seconds: float
+    """How long the command ran."""
 
 
 def commands(place: Path) -> list[Command]:
@@ -125,11 +127,14 @@ def forked(work: Callable[[], None], kill_after: float | None = None) -> tuple[i
             code = error.code if isinstance(error.code, int) else 1
         finally:
             os._exit(code)
-    if kill_after is not None:
-        time.sleep(kill_after)
-        os.kill(child, signal.SIGKILL)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return code, time.monotonic() - begin
+    while True:
+        done, status = os.waitpid(child, os.WNOHANG)
+        seconds = time.monotonic() - begin
+        if done:
+            return os.waitstatus_to_exitcode(status), seconds
+        if kill_after is not None and seconds > kill_after:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(0.002)
 
 
 def run(arguments: list[str], kill_after: float | None = None) -> tuple[int, float]:
@@ -169,7 +174,7 @@ def trial(command: Command, place: Path, delay: float, foreign: bool, new: str) 
         if foreign:
             notes.write_text("mine")
     foreign = notes.is_file()
-    code, _ = run(command.killed, delay)
+    code, seconds = run(command.killed, delay)
     chunks = {path.name for path in out.glob("chunks/*.npz")}
     if foreign and not notes.is_file():
         complaints.append("notes are gone")
@@ -189,7 +194,7 @@ def trial(command: Command, place: Path, delay: float, foreign: bool, new: str) 
     if drafts := [p.name for p in (*place.glob(".kedge-*"), *out.glob("**/.kedge-*"))]:
         complaints.append(f"left over: {drafts}")
     state = "new" if kept == new else "old" if kept == old else "part"
-    return Trial(command.name, code == 0, state if kept else "none", complaints)
+    return Trial(command.name, code == 0, state if kept else "none", complaints, seconds)
 
 
 def trials(count: int, seed: int, place: Path) -> Iterator[Trial]:
@@ -208,9 +213,11 @@ def trials(count: int, seed: int, place: Path) -> Iterator[Trial]:
             taken[command.name] = seconds, result(place / "out")
         seconds, new = taken[command.name]
         begin = draw.choice([0.0, 0.7])
-        yield trial(
-            command, place, seconds * draw.uniform(begin, 1.02), draw.random() < 0.4, new
-        )
+        delay = seconds * draw.uniform(begin, 1.02)
+        one = trial(command, place, delay, draw.random() < 0.4, new)
+        if one.ended:  # a machine that was busy is so no more
+            taken[command.name] = min(seconds, 0.9 * one.seconds), new
+        yield one
 
 
 def main() -> int:
@@ -223,8 +230,8 @@ def main() -> int:
         done = []
         for one in trials(arguments.count, arguments.seed, Path(folder)):
             done.append(one)
-            for complaint in one.complaints:
-                print(f"{len(done)}. {one.command}: {complaint}", file=sys.stderr)
+            text = "; ".join(one.complaints) or one.kept
+            print(f"{len(done)}. {one.command}: {text}", file=sys.stderr, flush=True)
     states = ("none", "old", "part", "new")
     print(f"{'command':14} kills in_time {' '.join(f'{s:>5}' for s in states)} complaints")
     for name in dict.fromkeys(one.command for one in done):

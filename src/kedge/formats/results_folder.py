@@ -214,8 +214,10 @@ def _move_in(whole: Path, target: Path) -> None:
         if (whole / name).is_dir():  # empty, or emptied before the kill
             path.mkdir(parents=True, exist_ok=True)
             continue
-        if os.path.lexists(path) and not same:
-            raise _in_the_way(path)
+        if os.path.lexists(path) and not same and name != MARK:
+            # What is the same as before was left where it is.
+            if new is None or _digest(target, name) != new.files.get(name):
+                raise _in_the_way(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         (whole / name).replace(path)
         sync(path.parent)
