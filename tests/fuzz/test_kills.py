@@ -1,4 +1,4 @@
-"""A few kills at random moments; ``python tests/fuzz/kills.py --count 50`` is the whole of it."""
+"""A few kills at random moments; ``kills.py --count 50`` is the whole of it."""
 
 import subprocess
 import sys
