@@ -32,6 +32,8 @@ class SigmaPointBelief(NamedTuple):
     cov: Float[Array, "n n"]
     errors: Float[Array, "k n"]
     """Of the points from the mean, in its tangent space."""
+    noise_cov: Float[Array, "n n"]
+    """What the points do not know of the covariance: noise that was added to it."""
 
     def moments(self) -> Gaussian:
         """Mean and covariance."""
@@ -41,7 +43,8 @@ class SigmaPointBelief(NamedTuple):
         """The same mean, the covariance times ``factor`` but for augmented states."""
         grown = jnp.broadcast_to(stretch(self.mean, factor), self.errors.shape[1:])
         cov = inflated_cov(self.mean, self.cov, factor)
-        return self._replace(cov=cov, errors=self.errors * grown[None])
+        noise_cov = self.noise_cov * grown[:, None] * grown[None]
+        return self._replace(cov=cov, errors=self.errors * grown[None], noise_cov=noise_cov)
 
 
 @filters.add("additive-unscented")
@@ -51,7 +54,10 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
     $P^- = \sum_i w_i (x_i \boxminus \bar x)(\cdot)^\top + G Q G^\top$ with
     $x_i = f(\chi_i, u, 0)$ and G the derivative by the noise at the mean; the update looks at
     the points $x_i$ as they were propagated: $S = \sum_i w_i (z_i - \bar z)(\cdot)^\top + R$,
-    $K = P_{xz} S^{-1}$, $P^+ = P^- - K S K^\top$.
+    $K = P_{xz} S^{-1}$, $P^+ = P^- - K S K^\top$ as a sum of squares in which no digits cancel,
+    $\sum_i w_i (x_i \boxminus \bar x - K (z_i - \bar z))(\cdot)^\top + K R K^\top +
+    G Q G^\top$.
+    These points do not know the last step's noise, so even an exact reading leaves its share.
 
     With ``redraw`` the update looks at new points of $P^-$ instead, which know of the noise:
     Särkkä's form (section 5.6), and FilterPy's. The filter "unscented" differs from both in the
@@ -94,8 +100,9 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
 
         weights = jnp.asarray(rule.cov_weights)[:, None]
         effect = jax.jacfwd(by_noise)(calm) * std[None]
-        cov = mirrored(spread.T @ (weights * spread) + effect @ effect.T)
-        after = SigmaPointBelief(mean, cov, spread)
+        noise_cov = effect @ effect.T
+        cov = mirrored(spread.T @ (weights * spread) + noise_cov)
+        after = SigmaPointBelief(mean, cov, spread, noise_cov)
         if self.redraw:
             after = self._with_points(mean, cov)
         return after, errors.T @ (weights * spread)
@@ -114,12 +121,15 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
             rule, expectation_of(model, belief.mean), belief.errors
         )
         weights = jnp.asarray(rule.cov_weights)[:, None]
-        cov = mirrored(spread.T @ (weights * spread) + model.noise_cov(belief.mean))
+        noise_cov = model.noise_cov(belief.mean)
+        cov = mirrored(spread.T @ (weights * spread) + noise_cov)
         root = cholesky(cov)
         K = gain(belief.errors.T @ (weights * spread), root)
         residual = space(expected).boxminus(measurement, expected)
         mean, turn = moved(belief.mean, K @ residual)
-        after = turned(turn, mirrored(belief.cov - K @ cov @ K.T))
+        errors = belief.errors - spread @ K.T
+        posterior = errors.T @ (weights * errors) + K @ noise_cov @ K.T + belief.noise_cov
+        after = turned(turn, mirrored(posterior))
         score = innovation(residual, cov, root, model.dof())
         return self._with_points(mean, after), score
 
@@ -127,7 +137,9 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
         return unscented(size, self.alpha, self.beta, self.kappa)
 
     def _with_points(self, mean: Any, cov: Float[Array, "n n"]) -> SigmaPointBelief:
-        return SigmaPointBelief(mean, cov, _points(self._rule(len(cov)), cov))
+        return SigmaPointBelief(
+            mean, cov, _points(self._rule(len(cov)), cov), jnp.zeros_like(cov)
+        )
 
 
 def _points(rule: Rule, cov: Float[Array, "n n"]) -> Float[Array, "k n"]:
