@@ -70,6 +70,10 @@ docs: .venv/.docs ## the documentation's site, without a warning: build/site/ind
 bench: .venv/.dev .venv/.rivals ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
 	BENCH=$(BENCH) $(BIN)/pytest benchmarks $(ARGS)
 
+.PHONY: fuzz
+fuzz: .venv/.dev ## damaged input to every reader: ARGS='--inputs 20000 --workers 2'
+	$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
+
 .PHONY: format
 format: .venv/.dev ## rewrite the sources in the project's format
 	$(BIN)/ruff check --fix .

@@ -180,6 +180,9 @@ def test_one_message_exit_2_nothing_written(spoil, site, kedge):
     assert sorted(p.name for p in site.iterdir() if p.name.startswith((".", "out"))) == []
 
 
+NESTED = f"{'gated:inner=(' * 2000}extended{')' * 2000}"
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -192,8 +195,13 @@ def test_one_message_exit_2_nothing_written(spoil, site, kedge):
         (["--until", "-3"], ["until"]),
         (["--truth", "vicon"], ["vicon"]),
         (["--require", "nonsense"], ["SCORE<=NUMBER"]),
+        (["--set", f"output.rate={'9' * 5000}"], ["--set output.rate=999", "a TOML value"]),
+        (["--set", f"output.rate={'[' * 3000}"], ["--set output.rate=[[[", "a TOML value"]),
+        (["--set", f"output.rate={'9' * 400}"], ["output.rate", "found 999"]),
+        (["--filter", f"gated:false_alarm={'9' * 400}"], ["false_alarm: found '999"]),
+        (["--filter", NESTED], ["filters in filters", "at most 20"]),
     ],
-    ids=lambda value: "_".join(value) if isinstance(value, list) else "",
+    ids=lambda value: "_".join(value)[:40] if isinstance(value, list) else "",
 )
 def test_bad_options(arguments, expected, site, kedge):
     code, out, err = kedge(
@@ -203,8 +211,39 @@ def test_bad_options(arguments, expected, site, kedge):
     assert "Traceback" not in err
     for part in expected:
         assert part in err, part
+    assert max(map(len, err.splitlines())) < 600
     assert out == ""
     assert not (site / "out").exists()
+
+
+def test_keys_of_lists_of_tables_are_named_with_their_line(tmp_path, kedge):
+    text = (
+        'extends = "yard"\n[[claims]]\ntext = "x"\nsource = "y"\nmeans = "z"\n'
+        '[[claims]]\ntext = "x"\nsource = "y"\ntst = "extended.rmse.position < 1"\n'
+        "[[quoted]]\nscore = 3\n[[expected]]\nbetwen = [1, 2]\n"
+    )
+    (tmp_path / "slips.toml").write_text(text)
+    code, _, err = kedge("study", tmp_path / "slips.toml", "--runs", "2")
+    assert code == 2
+    assert "slips.toml:9: claims.1.tst: no key called 'tst' (did you mean 'test'?)" in err
+    assert "slips.toml:11: quoted.0.score: found 3, expected a valid string" in err
+    assert "slips.toml:13: expected.0.betwen: no key called 'betwen'" in err
+    assert "claims.0" not in err
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--seed", "99999999999999999999"], "--seed"),
+        (["--runs", "99999999999999999999"], "--runs"),
+        (["--shard", f"{'9' * 5000}/1", "--out", "z"], "--shard: found '999"),
+    ],
+    ids=["seed", "runs", "shard"],
+)
+def test_numbers_that_are_too_large(options, expected, kedge):
+    code, out, err = kedge("study", "yard", *options)
+    assert (code, out) == (2, "")
+    assert expected in err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

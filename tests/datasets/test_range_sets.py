@@ -65,7 +65,7 @@ def test_what_is_wrong_with_a_plaza_file(tmp_path):
         with pytest.raises(DataError, match=pattern):
             read_log(str(path), "plaza")
     savemat(path, {k: v for k, v in good.items() if k != "TD"})
-    with pytest.raises(DataError, match="no matrix 'TD'; expected GT, DR, TD, TL"):
+    with pytest.raises(DataError, match="no matrix called 'TD'; there are GT, DR, TL"):
         read_log(str(path), "plaza")
 
 

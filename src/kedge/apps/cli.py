@@ -1,7 +1,9 @@
 """The command line. Commands import what they need when they run, so ``--help`` is quick."""
 
+import errno
 import os
 import sys
+import traceback
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +23,7 @@ from kedge.apps.console import (
     require,
 )
 from kedge.apps.options import (
+    LARGEST_SEED,
     Force,
     Json,
     Out,
@@ -35,7 +38,7 @@ from kedge.apps.options import (
     Truth,
     Until,
 )
-from kedge.core.errors import KedgeError
+from kedge.core.errors import DataError
 
 app = typer.Typer(
     name="kedge",
@@ -154,11 +157,15 @@ def locate(
 def study(
     scenario: Annotated[str, typer.Argument(help="A shipped scenario's name or a TOML file.")],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results.")] = None,
-    runs: Annotated[int | None, typer.Option(help="Instead of the scenario's own.")] = None,
+    runs: Annotated[
+        int | None, typer.Option(max=10**7, help="Instead of the scenario's own.")
+    ] = None,
     filters: Annotated[
         str | None, typer.Option(help="Names with commas between, instead of its own.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's own.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(max=LARGEST_SEED, help="Instead of the scenario's own.")
+    ] = None,
     chunk: Annotated[
         int | None,
         typer.Option(
@@ -239,7 +246,7 @@ def tune(
         list[str] | None, typer.Option("--bounds", help="Other bounds: KEY=LOW:HIGH.")
     ] = None,
     until: Until = None,
-    seed: Annotated[int, typer.Option(help="Seed of the other starts.")] = 0,
+    seed: Seed = 0,
     set_: Set = None,
     require_: Require = None,
     report: Annotated[bool, typer.Option(help="Draw the profiles of the loss.")] = True,
@@ -343,7 +350,11 @@ def config_schema() -> None:
 @app.callback(invoke_without_command=True)
 def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of what goes wrong.")
+    ] = False,
 ) -> None:
+    del debug  # any command takes it: main() has seen to it
     if version:
         print(__version__)
         raise typer.Exit
@@ -359,21 +370,49 @@ def _finish_study(
 
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
+    debug = "--debug" in sys.argv[1:]
+    sys.argv[1:] = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    closed = sys.stdout is None
+    if closed:
+        sys.stdout = open(os.devnull, "w")
     try:
         with interruptions(), plain_warnings():
-            app()
+            try:
+                app()
+            finally:
+                _flush(closed)
     except ThresholdMissed as error:
-        print(f"kedge: {error}", file=sys.stderr)
-        sys.exit(3)
+        _end(3, str(error))
     except Interrupted as error:
-        print(f"kedge: interrupted; {error}", file=sys.stderr)
-        sys.exit(130)
-    except KedgeError as error:
-        print(f"kedge: {error}", file=sys.stderr)
-        sys.exit(2)
+        _end(130, f"interrupted; {error}")
     except BrokenPipeError:
         # `kedge list | head`: the reader has seen enough; nothing is left to flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        from kedge.apps.failures import explained
+
+        _end(*explained(error))
+
+
+def _flush(closed: bool) -> None:
+    """Write out what was printed, while a failure can still be told."""
+    try:
+        if closed:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # Else the interpreter would try again at its end, and fail with a code of its own.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        raise DataError(f"standard output: cannot be written: {error.strerror}") from error
+
+
+def _end(code: int, message: str) -> None:
+    print(f"kedge: {message}", file=sys.stderr)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

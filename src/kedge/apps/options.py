@@ -16,7 +16,10 @@ Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary to standard output.")]
 Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
 Until = Annotated[float | None, typer.Option(help="Use only so many seconds of the log.")]
-Seed = Annotated[int, typer.Option(help="Seed of the filters that draw random numbers.")]
+LARGEST_SEED = 2**63 - 1
+Seed = Annotated[
+    int, typer.Option(max=LARGEST_SEED, help="Seed of what is drawn at random.")
+]
 Set = Annotated[
     list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
 ]

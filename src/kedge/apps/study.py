@@ -175,10 +175,12 @@ def parse_shard(text: str) -> tuple[int, int]:
     Raises:
         ConfigError: it is no share.
     """
-    parts = re.fullmatch(r"(\d+)/(\d+)", text)
+    parts = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
     index, count = map(int, parts.groups()) if parts else (0, 0)
     if not 1 <= index <= count:
-        raise ConfigError(f"--shard: found {text!r}, expected i/n with i from 1 to n, e.g. 2/4")
+        raise ConfigError(
+            f"--shard: found {text[:40]!r}, expected i/n with i from 1 to n, e.g. 2/4"
+        )
     return index, count
 
 

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from kedge.config.models import Parameter, build_model
+from kedge.config.plugin_checks import check_sensor_plugins, check_vehicle_plugin
+from kedge.config.plugins import place_of
 from kedge.config.readings import join, map_of
 from kedge.config.rigs import AbstractRigConfig
 from kedge.core.beliefs import Gaussian
@@ -43,10 +45,16 @@ def build_vehicle(
             name: Drift(augmented.random_walk, augmented.time_constant or float("inf"))
             for name, augmented in config.vehicle.augmented.items()
         }
+        check_vehicle_plugin(bare)
         vehicle = augment(bare, augmented, list(plain.values()))
         for name, sensor in plain.items():
             installation = build_installation(config, name, sensor)
-            check_reads(installation, type(vehicle.start()), type(bare).__name__)
+            try:
+                check_reads(installation, type(vehicle.start()), type(bare).__name__)
+            except ContractError as error:
+                place = place_of(type(sensor))
+                raise ContractError(f"{place}: {error}" if place else str(error)) from error
+        check_sensor_plugins(plain, vehicle.start())
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error
     return bare, vehicle

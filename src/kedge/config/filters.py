@@ -10,6 +10,9 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.registry import filters, unknown
 
+MOST_DEPTH = 20
+"""Filters in filters: more are a slip."""
+
 
 def build_filter(spec: str) -> AbstractFilter:
     """A filter from ``NAME`` or ``NAME:PARAMETER=VALUE,...``.
@@ -21,7 +24,7 @@ def build_filter(spec: str) -> AbstractFilter:
         UnknownName: there is no such filter.
         ConfigError: a parameter is unknown, of the wrong type or refused by the filter.
     """
-    return _build(spec, spec)
+    return _build(spec, spec if len(spec) <= 200 else f"{spec[:200]}...", MOST_DEPTH)
 
 
 def split_top(text: str, separator: str = ",") -> list[str]:
@@ -51,7 +54,11 @@ def split_names(names: str) -> list[str]:
     return found
 
 
-def _build(spec: str, whole: str) -> AbstractFilter:
+def _build(spec: str, whole: str, depth: int) -> AbstractFilter:
+    if not depth:
+        raise ConfigError(
+            f"filter {whole!r}: found filters in filters, expected at most {MOST_DEPTH}"
+        )
     name, _, rest = spec.partition(":")
     cls = filters.get(name.strip())
     known = parameters_of(cls)
@@ -66,7 +73,7 @@ def _build(spec: str, whole: str) -> AbstractFilter:
             )
         if key in given:
             raise ConfigError(f"filter {whole!r}: found {key!r} twice, expected it once")
-        given[key] = _value(whole, key, text, known[key])
+        given[key] = _value(whole, key, text, known[key], depth)
     try:
         return cls(**given)
     except ContractError as error:
@@ -83,10 +90,10 @@ def parameters_of(cls: type) -> dict[str, type]:
     return inner | kinds_of(cls)
 
 
-def _value(spec: str, key: str, text: str, kind: type) -> Any:
+def _value(spec: str, key: str, text: str, kind: type, depth: int) -> Any:
     if kind is AbstractFilter:
         inside = text[1:-1] if text.startswith("(") and text.endswith(")") else text
-        return _build(inside, spec)
+        return _build(inside, spec, depth - 1)
     if kind in (str, tuple) and text:  # a list is read from its text by who has it
         return text
     if kind is bool and text in ("true", "false"):
@@ -94,12 +101,12 @@ def _value(spec: str, key: str, text: str, kind: type) -> Any:
     if kind in (int, float):
         try:
             value = math.inf if text == "inf" else ast.literal_eval(text)
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
             value = None
-        if type(value) is int:
+        if type(value) is int and abs(value) < 2**63:
             return kind(value)
         if type(value) is float and kind is float:
             return value
     expected = {bool: "true or false", int: "a whole number", float: "a number"}
     expected |= {str: "a word", tuple: "a list"}
-    raise ConfigError(f"filter {spec!r}: {key}: found {text!r}, expected {expected[kind]}")
+    raise ConfigError(f"filter {spec!r}: {key}: found {text[:60]!r}, expected {expected[kind]}")

@@ -45,7 +45,7 @@ def _completed(
         raise ConfigError(f"{path}: {EXTENDS}: found {name!r}, which extends this file again")
     try:
         base = tomllib.loads(below.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(
             f"{path}: {EXTENDS}: found {name!r}, expected a TOML file or one of "
             f"{', '.join(shipped)}: {error}"

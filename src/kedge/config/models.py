@@ -58,7 +58,7 @@ def _value_errors(
         if key not in kinds:
             yield f"parameters.{key}: {unknown(f'parameter of {name}', key, list(kinds))}"
         elif not _fits(value, kinds[key]):
-            shown = f"{value:g}" if type(value) in (int, float) else repr(value)
+            shown = f"{value:g}" if type(value) is float else repr(value)[:60]
             yield f"parameters.{key}: found {shown}, expected {KINDS[kinds[key]]}"
 
 
@@ -73,7 +73,10 @@ KINDS = {
 
 def _fits(value: Parameter, kind: type) -> bool:
     if kind in (int, float) and isinstance(value, int | float):
-        return not isinstance(value, bool) and (kind is float or value == int(value))
+        if isinstance(value, bool) or not (kind is float or value == int(value)):
+            return False
+        # Beyond that a whole number is no 64-bit one, nor sure to be a float.
+        return abs(value) < 2**63 or (kind is float and isinstance(value, float))
     return type(value) is (list if kind is tuple else kind)
 
 

@@ -218,7 +218,7 @@ def _placed(config: RigConfig, raw: RawLog) -> RigConfig:
 def _check_span(
     config: RigConfig, log: str, start: int, end: int, sources: Mapping[str, Source]
 ) -> None:
-    """Refuse a log without duration, and one that a wrong stamp makes endless.
+    """Refuse a log shorter than one output, and one that a wrong stamp makes endless.
 
     Raises:
         DataError: with the source and line of the last stamp.
@@ -227,7 +227,12 @@ def _check_span(
         raise DataError(
             f"{log}: all of it happens at one time, {start} ns; expected a duration"
         )
-    count = (end - start) / SECOND * config.output.rate
+    count = int((end - start) * config.output.rate / SECOND)
+    if count < 1:
+        raise DataError(
+            f"{log}: found {(end - start) / SECOND:g} s, expected at least one period of the "
+            f"output, {1 / config.output.rate:g} s (output.rate = {config.output.rate:g} Hz)"
+        )
     if count > MOST_OUTPUTS:
         late = [(int(s.stamps[-1]), name, s) for name, s in sources.items() if len(s.stamps)]
         where = "the last stamp is of the control"

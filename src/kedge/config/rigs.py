@@ -6,11 +6,13 @@ before any data is read.
 
 import abc
 import dataclasses
+import os
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import jax
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 
@@ -18,7 +20,7 @@ from kedge.config.filters import build_filter
 from kedge.config.inheritance import completed
 from kedge.config.models import Parameter, build_model, model_errors
 from kedge.config.plugins import load_modules
-from kedge.core.errors import ContractError, KedgeError, UnknownName
+from kedge.core.errors import ConfigError, ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
 from kedge.formats.bag_config import BagConfig
@@ -148,7 +150,9 @@ class MapConfig(Strict):
     columns: dict[str, list[Finite]]
 
     def validation_errors(self) -> Iterator[str]:
-        """Columns of another length, targets that are listed twice."""
+        """No target, columns of another length, targets that are listed twice."""
+        if not self.ids:
+            yield "ids: found no target, expected at least one"
         for name, values in self.columns.items():
             if len(values) != len(self.ids):
                 yield f"columns.{name}: found {len(values)} values, expected {len(self.ids)}"
@@ -333,6 +337,7 @@ def load_config(
         UnknownName: none of that name is shipped.
         ConfigError: the file is missing or wrong; one line for each mistake.
     """
+    _require_platform()
     path = Path(name)
 
     def whole(tree: dict[str, Any], place: Path) -> dict[str, Any]:
@@ -350,6 +355,20 @@ def load_config(
             config = read_toml(path, model, overrides, complete=whole)
     config._origin = str(path)
     return config
+
+
+def _require_platform() -> None:
+    """Refuse a platform that JAX cannot use here, before a file is blamed for it."""
+    try:
+        jax.devices()
+    except Exception as error:
+        # JAX raises RuntimeError or AssertionError, depending on what is missing.
+        wanted = os.environ.get("JAX_PLATFORMS", "")
+        raise ConfigError(
+            f"JAX_PLATFORMS={wanted}: JAX cannot compute on this platform: "
+            f"{str(error).partition(chr(10))[0] or type(error).__name__}; "
+            "expected one that is here, such as cpu"
+        ) from error
 
 
 def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> RigConfig:

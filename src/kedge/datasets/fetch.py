@@ -8,7 +8,9 @@ every file is the one whose SHA-256 is known (``checksums/NAME.sha256``).
 import gzip
 import hashlib
 import os
+import tempfile
 import zipfile
+import zlib
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
@@ -102,22 +104,48 @@ def fetch(name: str) -> Path:
     except Exception as error:
         # Whatever the network library raises, to the user it is one thing: not reachable.
         raise DataError(f"{entry.url}: cannot be downloaded: {error}") from error
-    draft = target.with_name(f".{target.name}.part")
-    draft.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(archive) as bundle:
-        members = {Path(member).name: member for member in bundle.namelist()}
-        for file, checksum in checksums(name).items():
-            if file not in members:
-                raise DataError(f"{entry.url}: {file} is missing from the archive")
-            data = bundle.read(members[file])
-            found_sum = hashlib.sha256(data).hexdigest()
-            if found_sum != checksum:
-                raise DataError(
-                    f"{entry.url}: {file} has SHA-256 {found_sum}, expected {checksum}"
-                )
-            (draft / file).write_bytes(data)
-    draft.rename(target)
+    try:
+        with tempfile.TemporaryDirectory(dir=root, prefix=f".{target.name}-") as draft:
+            unpacked = Path(draft) / target.name
+            unpacked.mkdir()
+            _unpack(Path(archive), entry.url, checksums(name), unpacked)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            unpacked.rename(target)
+    except OSError as error:
+        raise DataError(f"{target}: cannot be written: {error}") from error
+    finally:
+        # Whether it was unpacked or is no archive: the next attempt begins with a new one.
+        Path(archive).unlink(missing_ok=True)
     return target
+
+
+def _unpack(archive: Path, url: str, known: dict[str, str], folder: Path) -> None:
+    """Put the files that are known, and no others, into a folder.
+
+    Raises:
+        DataError: it is no archive, or a file is missing or is not the one that is known.
+    """
+    try:
+        with zipfile.ZipFile(archive) as bundle:
+            members = {Path(member).name: member for member in bundle.namelist()}
+            if missing := [file for file in known if file not in members]:
+                raise DataError(f"{url}: {missing[0]} is missing from the archive")
+            contents = {file: bundle.read(members[file]) for file in known}
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+    ) as error:
+        raise DataError(
+            f"{url}: what was downloaded is no whole zip archive: {error}"
+        ) from error
+    for file, data in contents.items():
+        found = hashlib.sha256(data).hexdigest()
+        if found != known[file]:
+            raise DataError(f"{url}: {file} has SHA-256 {found}, expected {known[file]}")
+        (folder / file).write_bytes(data)
 
 
 def verify(name: str, folder: Path) -> None:
@@ -131,7 +159,10 @@ def verify(name: str, folder: Path) -> None:
         if plain.is_file():
             data = plain.read_bytes()
         elif packed.is_file():
-            data = gzip.decompress(packed.read_bytes())
+            try:
+                data = gzip.decompress(packed.read_bytes())
+            except (OSError, EOFError, zlib.error) as error:
+                raise DataError(f"{packed}: cannot be unpacked: {error}") from error
         else:
             raise DataError(f"{folder}: {file} is missing")
         if (found := hashlib.sha256(data).hexdigest()) != checksum:

@@ -7,8 +7,8 @@ Source: R. Gonzalez, J. Giribet, H. Patiño, "NaveGo: a simulation framework for
 integrated navigation systems", J. Control Eng. Appl. Inform. 17(2), 2015.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,9 @@ from jaxtyping import Float
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
-from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import Table
+from kedge.formats.matlab import read_structure
+from kedge.formats.tables import Table, stamps_of
 from kedge.numerics.earth import Origin
 
 AXES = "xyz"
@@ -44,7 +44,7 @@ def read_navego(path: Path, part: str | None = None) -> RawLog:
     if name not in names:
         raise UnknownName(f"{path}: {unknown('IMU', name, names)}")
     files = {key: path / f"{key}.mat" for key in ("ref", "gnss", name)}
-    ref, gnss, imu = (_struct(file, key) for key, file in files.items())
+    ref, gnss, imu = (read_structure(file, key) for key, file in files.items())
     truth = {key: _column(ref, files["ref"], key) for key in ("lat", "lon", "h")}
     latitude, longitude, height = (float(values[0]) for values in truth.values())
     origin = Origin(latitude, longitude, height)
@@ -77,24 +77,12 @@ def read_navego(path: Path, part: str | None = None) -> RawLog:
     )
 
 
-def _struct(file: Path, name: str) -> Any:
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(file)
-    except (OSError, ValueError, NotImplementedError) as error:
-        raise DataError(f"{file}: cannot be read as a MATLAB file: {error}") from error
-    struct = found.get(name)
-    if struct is None or struct.dtype.names is None:
-        kept = [key for key in found if not key.startswith("__")]
-        raise DataError(f"{file}: {unknown('structure', name, kept)}")
-    return struct
-
-
-def _rows(struct: Any, file: Path, field: str, width: int = 3) -> Float[np.ndarray, "n w"]:
-    if field not in struct.dtype.names:
-        raise DataError(f"{file}: {unknown('field', field, list(struct.dtype.names))}")
-    values = np.asarray(struct[field][0, 0], float)
+def _rows(
+    struct: Mapping[str, np.ndarray], file: Path, field: str, width: int = 3
+) -> Float[np.ndarray, "n w"]:
+    if field not in struct:
+        raise DataError(f"{file}: {unknown('field', field, list(struct))}")
+    values = struct[field]
     if values.ndim != 2 or values.shape[1] != width or len(values) < 2:
         raise DataError(
             f"{file}: {field} has the shape {values.shape}, expected rows of {width}"
@@ -105,12 +93,14 @@ def _rows(struct: Any, file: Path, field: str, width: int = 3) -> Float[np.ndarr
     return values
 
 
-def _column(struct: Any, file: Path, field: str) -> Float[np.ndarray, " n"]:
+def _column(
+    struct: Mapping[str, np.ndarray], file: Path, field: str
+) -> Float[np.ndarray, " n"]:
     return _rows(struct, file, field, 1)[:, 0]
 
 
 def _fixes(
-    struct: Any, file: Path, origin: Origin
+    struct: Mapping[str, np.ndarray], file: Path, origin: Origin
 ) -> tuple[Float[np.ndarray, " n"], dict[str, tuple[np.ndarray, str]]]:
     """Times, positions on the map and velocities of fixes or of the truth."""
     place = [jnp.asarray(_column(struct, file, key)) for key in ("lat", "lon", "h")]
@@ -126,7 +116,7 @@ def _table(
     time: Float[np.ndarray, " n"],
     fields: dict[str, tuple[Float[np.ndarray, "n w"], str]],
 ) -> Table:
-    stamps = np.round(time * SECOND).astype(np.int64)
+    stamps = stamps_of(file, "t", time)
     if (steps := np.diff(stamps) <= 0).any():
         row = int(np.argmax(steps)) + 2
         raise DataError(f"{file}: t: row {row}: found a time that does not rise, expected one")

@@ -8,16 +8,16 @@ ground truth", Journal of Field Robotics 26(9), 2009.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Float
 
 from kedge.core.errors import DataError
 from kedge.core.registry import readers
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog, TargetMap
-from kedge.formats.tables import in_order, table_of
+from kedge.formats.matlab import read_matrix
+from kedge.formats.tables import in_order, stamps_of, table_of
 
 SHAPES = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 """Matrix -> how many columns it has."""
@@ -38,7 +38,7 @@ def read_plaza(path: Path, part: str | None = None) -> RawLog:
     known, moved, ranges, beacons = (_matrix(path, name) for name in SHAPES)
     notes: list[str] = []
 
-    stamps = _stamps(moved[:, 0])
+    stamps = stamps_of(path, "DR", moved[:, 0])
     before = np.concatenate([[2 * stamps[0] - stamps[1]], stamps[:-1]])
     span = (stamps - before) / SECOND
     if not (span > 0).all():
@@ -53,7 +53,7 @@ def read_plaza(path: Path, part: str | None = None) -> RawLog:
     radio = table_of(
         "radio",
         path,
-        _stamps(ranges[:, 0]),
+        stamps_of(path, "TD", ranges[:, 0]),
         {"range": (ranges[:, 3], "m")},
         {"target": [str(int(beacon)) for beacon in ranges[:, 2]]},
     )
@@ -61,7 +61,7 @@ def read_plaza(path: Path, part: str | None = None) -> RawLog:
     truth = table_of(
         "truth",
         path,
-        _stamps(known[:, 0]),
+        stamps_of(path, "GT", known[:, 0]),
         {
             "position_x": (known[:, 1], "m"),
             "position_y": (known[:, 2], "m"),
@@ -85,13 +85,7 @@ def read_plaza(path: Path, part: str | None = None) -> RawLog:
 
 
 def _matrix(path: Path, name: str) -> Float[np.ndarray, "n k"]:
-    found = _contents(path).get(name)
-    wanted = SHAPES[name]
-    if found is None:
-        raise DataError(
-            f"{path}: no matrix {name!r}; expected {', '.join(SHAPES)} of a Plaza set"
-        )
-    values = np.asarray(found, float)
+    values, wanted = read_matrix(path, name), SHAPES[name]
     if values.ndim != 2 or values.shape[1] != wanted or len(values) < 2:
         raise DataError(
             f"{path}: {name}: found shape {values.shape}, expected rows of {wanted} numbers"
@@ -100,22 +94,6 @@ def _matrix(path: Path, name: str) -> Float[np.ndarray, "n k"]:
         at = int(np.argmin(np.isfinite(values).all(axis=1)))
         raise DataError(f"{path}: {name}: row {at + 1}: expected finite numbers")
     return values
-
-
-def _contents(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
-    try:
-        return loadmat(path)
-    except (OSError, ValueError, NotImplementedError, TypeError, MatReadError) as error:
-        raise DataError(f"{path}: cannot be read as a MATLAB file: {error}") from error
-
-
-def _stamps(seconds: Float[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    return np.round(seconds * SECOND).astype(np.int64)
 
 
 def _forward(known: Float[np.ndarray, "n 4"], notes: list[str]) -> Float[np.ndarray, " n"]:

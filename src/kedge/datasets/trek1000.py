@@ -12,6 +12,7 @@ import numpy as np
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
 from kedge.formats.logs import RawLog
+from kedge.formats.matlab import read_matrix
 from kedge.formats.tables import Cells, Table, read_cells
 
 STEM = "output_range_uwb_"
@@ -110,14 +111,12 @@ def _truth(file: Path, case: str, stamps: np.ndarray) -> Table | None:
     match = next((f for f in sorted(file.parent.iterdir()) if f.name.lower() == wanted), None)
     if match is None:
         return None
-    from scipy.io import loadmat
-
-    try:
-        poses = loadmat(match)["posedata_uwb"][::EVERY]
-    except (KeyError, ValueError, NotImplementedError, OSError) as error:
+    poses = read_matrix(match, "posedata_uwb")[::EVERY]
+    if poses.ndim != 2 or poses.shape[1] < 5 or len(poses) < 2 or not np.isfinite(poses).all():
         raise DataError(
-            f"{match}: expected Vicon's poses as 'posedata_uwb': {error}"
-        ) from error
+            f"{match}: posedata_uwb: found the shape {poses.shape}, expected rows of at least "
+            "five finite numbers"
+        )
     unix = poses[:, 1] + 1e-9 * poses[:, 2]
     # Both clocks show the same hour but for the zone.
     zone = round((stamps[0] / 1e9 - unix[0] % DAY) / 3600) * 3600

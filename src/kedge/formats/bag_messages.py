@@ -8,9 +8,11 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from kedge.core.errors import DataError
+
+T = TypeVar("T")
 
 
 class Message(NamedTuple):
@@ -55,19 +57,20 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 def _ros(path: Path, stack: ExitStack) -> Bag:
-    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     try:
         # Old ROS 2 bags say nothing of their types: then the usual ones are meant.
         usual = get_typestore(Stores.LATEST)
         reader = stack.enter_context(AnyReader([path], default_typestore=usual))
-    except (AnyReaderError, OSError, ValueError, KeyError, AssertionError) as error:
-        raise DataError(f"{path}: cannot be read as a bag: {error}") from error
+    except Exception as error:
+        raise _unreadable(path, "a bag", error) from error
 
     def messages(wanted: set[str]) -> Iterator[Message]:
         chosen = [c for c in reader.connections if c.topic in wanted]
-        for connection, time, raw in reader.messages(connections=chosen) if chosen else ():
+        found = reader.messages(connections=chosen) if chosen else iter(())
+        for connection, time, raw in _guarded(path, "a bag", found):
             kind = connection.msgtype
 
             def decode(raw: bytes = raw, kind: str = kind) -> Any:
@@ -79,16 +82,21 @@ def _ros(path: Path, stack: ExitStack) -> Bag:
 
 
 def _mcap(path: Path, stack: ExitStack) -> Bag:
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    from mcap.reader import SeekingReader
 
     try:
-        reader = make_reader(stack.enter_context(path.open("rb")))
+        file = stack.enter_context(path.open("rb"))
+        # No record is longer than the file, whatever it says of itself.
+        most = path.stat().st_size
+        reader = SeekingReader(file, validate_crcs=True, record_size_limit=most)
         summary = reader.get_summary()
-    except (McapError, OSError, ValueError) as error:
-        raise DataError(f"{path}: cannot be read as MCAP: {error}") from error
+    except Exception as error:
+        raise _unreadable(path, "MCAP", error) from error
     if summary is None:
-        raise DataError(f"{path}: the MCAP file has no summary: it was not closed properly")
+        raise DataError(
+            f"{path}: the MCAP file has no summary: it was not closed properly; "
+            "'mcap recover' writes what is whole of it into a new file"
+        )
     schemas = summary.schemas
     kinds = {
         channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else "?"
@@ -97,7 +105,8 @@ def _mcap(path: Path, stack: ExitStack) -> Bag:
     decoders: dict[int, Callable[[bytes], Any]] = {}
 
     def messages(wanted: set[str]) -> Iterator[Message]:
-        for schema, channel, message in reader.iter_messages(topics=sorted(wanted)):
+        found = reader.iter_messages(topics=sorted(wanted))
+        for schema, channel, message in _guarded(path, "MCAP", found):
 
             def decode(schema=schema, channel=channel, message=message) -> Any:
                 if channel.id not in decoders:
@@ -107,6 +116,35 @@ def _mcap(path: Path, stack: ExitStack) -> Bag:
             yield Message(channel.topic, kinds[channel.topic], message.log_time, decode)
 
     return Bag(kinds, messages)
+
+
+def _unreadable(path: Path, kind: str, error: Exception, count: int | None = None) -> DataError:
+    """What any failure of a decoding library is to the user: the file is damaged."""
+    at = "" if count is None else f" after {count} messages"
+    what = f"{type(error).__name__}: {error}".rstrip(": ").partition("\n")[0]
+    remedy = {
+        "MCAP": "'mcap recover' writes what is whole of it into a new file",
+        "a bag": "'rosbag reindex' (ROS 1) or 'ros2 bag reindex' may repair it",
+    }[kind]
+    return DataError(f"{path}: cannot be read as {kind}{at}: {what}; {remedy}")
+
+
+def _guarded(path: Path, kind: str, messages: Iterator[T]) -> Iterator[T]:
+    """Messages, as long as the library gets them out of the file.
+
+    Raises:
+        DataError: it does not; after how many.
+    """
+    count = 0
+    while True:
+        try:
+            message = next(messages)
+        except StopIteration:
+            return
+        except Exception as error:
+            raise _unreadable(path, kind, error, count) from error
+        yield message
+        count += 1
 
 
 def _decoder(encoding: str, schema: Any, message: Any) -> Callable[[bytes], Any]:

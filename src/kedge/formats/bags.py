@@ -9,7 +9,9 @@ target = "id"
 columns = { range = { field = "distance", unit = "m" } }
 """
 
+import contextlib
 import re
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -21,9 +23,9 @@ from kedge.core.errors import ConfigError, DataError
 from kedge.core.registry import readers
 from kedge.formats.bag_config import BagConfig, TopicConfig
 from kedge.formats.bag_messages import Bag, Message, open_bag
-from kedge.formats.logs import RawLog, TargetMap
+from kedge.formats.logs import RawLog, TargetMap, checked_map
 from kedge.formats.tables import Table, in_order, table_of
-from kedge.formats.units import TIME_UNITS, UNITS
+from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
 
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -58,9 +60,18 @@ class Rows:
         spec, stamp = self.spec, 0
         if timed:
             stamp = message.time if spec.stamp == "bag" else _stamp(content, spec, place)
+            stamp += round(spec.offset * 1e9)
+            if not -(2**63) <= stamp < 2**63:
+                raise DataError(
+                    f"{place}: {spec.stamp!r}: found a time beyond 292 years from 0, expected "
+                    f"one in {spec.stamp_unit}"
+                )
         elements = [content] if spec.each is None else _find(content, spec.each, place)
+        if not isinstance(elements, Sequence | np.ndarray) or isinstance(elements, str):
+            kind = type(elements).__name__
+            raise DataError(f"{place}: {spec.each!r}: found a {kind}, expected a list")
         for element in elements:
-            self.stamps.append(stamp + round(spec.offset * 1e9))
+            self.stamps.append(stamp)
             self.lines.append(self.count)
             if spec.target is not None:
                 self.targets.append(str(_find(element, spec.target, place)))
@@ -105,7 +116,7 @@ def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
     notes: list[str] = []
     tables = {name: _table(path, name, gathered[name], notes) for name in config.topics}
     truth = tables.pop(config.truth) if config.truth is not None else None
-    maps = {name: _map(gathered[f"map {name}"]) for name in config.maps}
+    maps = {name: _map(path, gathered[f"map {name}"]) for name in config.maps}
     files = (
         (path,) if path.is_file() else tuple(sorted(p for p in path.iterdir() if p.is_file()))
     )
@@ -131,11 +142,11 @@ def _table(path: Path, name: str, rows: Rows, notes: list[str]) -> Table:
     return in_order(table, notes)
 
 
-def _map(rows: Rows) -> TargetMap:
+def _map(path: Path, rows: Rows) -> TargetMap:
     """Targets from the first message of a topic."""
     columns = {name: values * UNITS[unit][1] for name, (values, unit) in rows.columns().items()}
     units = {name: UNITS[column.unit][0] for name, column in rows.spec.columns.items()}
-    return TargetMap(tuple(rows.targets), columns, units)
+    return checked_map(f"{path}: topic {rows.spec.topic!r}", rows.targets, columns, units)
 
 
 def _find(content: Any, way: str, place: str) -> Any:
@@ -171,7 +182,7 @@ def _number(content: Any, way: str, place: str) -> float:
     found = _find(content, way, place)
     try:
         return float(found)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         kind = type(found).__name__
         raise DataError(f"{place}: {way!r}: found a {kind}, expected a number") from None
 
@@ -181,15 +192,19 @@ def _stamp(content: Any, spec: TopicConfig, place: str) -> int:
     found = _find(content, spec.stamp, place)
     if isinstance(found, int | float | str | np.number):
         try:
-            return round(Decimal(str(found)).scaleb(TIME_UNITS[spec.stamp_unit]))
-        except ArithmeticError:
+            return nanoseconds(Decimal(str(found)), TIME_UNITS[spec.stamp_unit])
+        except (ValueError, ArithmeticError):
             raise DataError(
                 f"{place}: {spec.stamp!r}: found {found!r}, expected a time"
             ) from None
     for whole, rest in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos")):
         parts = [_or_none(found, name) for name in (whole, rest)]
         if None not in parts:
-            return int(parts[0]) * 10**9 + int(parts[1])
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                return int(parts[0]) * 10**9 + int(parts[1])
+            raise DataError(
+                f"{place}: {spec.stamp!r}: found {parts}, expected two whole numbers"
+            )
     raise DataError(
         f"{place}: {spec.stamp!r}: found {', '.join(_names(found))}, expected a time; "
         'stamp = "bag" takes the time of recording'

@@ -8,7 +8,8 @@ import csv
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -236,13 +237,29 @@ def _read_map(path: Path, spec: MapSource, frame: Frame) -> TargetMap:
             cells.numbers(column, unit) if cells else np.array(spec.values[column]) * factor
         )
         units[name] = UNITS[unit][0]
-        if not np.isfinite(columns[name]).all():
-            where = f"target {ids[int(np.argmin(np.isfinite(columns[name])))]!r}"
-            raise DataError(f"{path}: column {column!r}: {where}: expected a finite number")
-    if twice := sorted({name for name in ids if ids.count(name) > 1}):
-        raise DataError(f"{path}: found target {twice[0]!r} twice, expected each once")
     if frame == "ned":
         columns, units = all_to_enu(path, columns, units)
+    return checked_map(f"{path}", ids, columns, units)
+
+
+def checked_map(
+    place: str, ids: Sequence[str], columns: dict[str, np.ndarray], units: dict[str, str]
+) -> TargetMap:
+    """A map of targets.
+
+    Raises:
+        DataError: it has no target, one twice, or one without a finite place.
+    """
+    if not ids:
+        raise DataError(f"{place}: found a map without targets, expected at least one")
+    if twice := [name for name, count in Counter(ids).items() if count > 1]:
+        raise DataError(f"{place}: found target {twice[0]!r} twice, expected each once")
+    for column, values in columns.items():
+        if not np.isfinite(values).all():
+            name = ids[int(np.argmin(np.isfinite(values)))]
+            raise DataError(
+                f"{place}: column {column!r}: target {name!r}: expected a finite number"
+            )
     return TargetMap(tuple(ids), columns, units)
 
 

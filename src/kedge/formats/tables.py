@@ -19,8 +19,10 @@ from jaxtyping import Float, Int, Int64
 
 from kedge.core.errors import DataError
 from kedge.core.registry import unknown
-from kedge.formats.units import TIME_UNITS, UNITS
+from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
 
+MOST_DISORDER = 5.0
+"""s by which a row may be late: what is sorted."""
 NotFinite = Literal["error", "reject"]
 
 
@@ -112,7 +114,7 @@ class Cells(NamedTuple):
             )
         power = TIME_UNITS[unit]
         stamps = self._parsed(
-            column, self.text(column), lambda cell: round(Decimal(cell).scaleb(power)), "a time"
+            column, self.text(column), lambda cell: nanoseconds(Decimal(cell), power), "a time"
         )
         wide = [at for at, stamp in enumerate(stamps) if not -(2**63) <= stamp < 2**63]
         if wide:
@@ -254,13 +256,36 @@ def table_of(
     )
 
 
+def stamps_of(
+    path: Path, name: str, seconds: Float[np.ndarray, " n"]
+) -> Int64[np.ndarray, " n"]:
+    """Stamps in ns, from a column of seconds.
+
+    Raises:
+        DataError: one is not finite, or is too far from 0 for 64-bit nanoseconds.
+    """
+    wide = ~(np.abs(seconds) < 2**62 / 1e9)
+    if wide.any():
+        at = int(np.argmax(wide))
+        raise DataError(
+            f"{path}: {name}: row {at + 1}: found {seconds[at]} s, expected a time within 146 "
+            "years of 0"
+        )
+    return np.round(seconds * 1e9).astype(np.int64)
+
+
 def in_order(table: Table, notes: list[str]) -> Table:
     """The table in time order, each stamp (and target) once; ``notes`` says what was changed.
 
     Of several rows with one stamp the last stays, since a later message replaces the earlier.
+
+    Raises:
+        DataError: time jumps back by more than ``MOST_DISORDER``: these are two drives, or a
+            clock that began anew.
     """
     backwards = int((np.diff(table.stamps) < 0).sum())
     if backwards:
+        _check_jump(table)
         notes.append(f"{table.name}: time went backwards {backwards} times; rows were sorted")
         table = table.take(np.argsort(table.stamps, kind="stable"))
     if (np.diff(table.stamps) > 0).all():
@@ -276,6 +301,26 @@ def in_order(table: Table, notes: list[str]) -> Table:
             why = "" if what == "identical rows" else ", other values; the last stays"
             notes.append(f"{table.name}: dropped {count} {what} of a stamp used before{why}")
     return table.take(np.array(sorted(last.values())))
+
+
+def _check_jump(table: Table) -> None:
+    latest = np.maximum.accumulate(table.stamps)
+    jump = (latest - table.stamps) / 1e9
+    if jump.max() <= MOST_DISORDER:
+        return
+    at = int(np.argmax(jump > MOST_DISORDER))
+    before = int(np.argmax(table.stamps == latest[at]))
+    known = {86_400: "midnight in stamps without a date", 604_800: "a new GPS week"}
+    looks = next((what for size, what in known.items() if abs(jump[at] - size) < 60), None)
+    if looks is None and table.stamps[at] - table.stamps[0] < 0.1 * (
+        latest[at] - table.stamps[0]
+    ):
+        looks = "a second playing of the recording"
+    raise DataError(
+        f"{table.path}: {table.name}: row {table.lines[at]}: found {table.stamps[at]} ns after "
+        f"{latest[at]} ns in row {table.lines[before]}, expected it to go back by at most "
+        f"{MOST_DISORDER:g} s{f'; it looks like {looks}' if looks else ''}"
+    )
 
 
 def check_order(table: Table, time: str) -> None:

@@ -3,6 +3,7 @@
 import re
 import tomllib
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +26,20 @@ RENAMED = {
 }
 
 
+MOST_SHOWN = 80
+"""Letters of a value that a message shows."""
+
+
+class _Failed(Exception):
+    """A check that failed itself, with what it raised as its cause."""
+
+
+def shortened(value: Any) -> str:
+    """A value as Python writes it, as far as a message has room."""
+    text = repr(value)
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+
+
 class Strict(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types."""
 
@@ -36,7 +51,12 @@ class Strict(BaseModel):
 
     @model_validator(mode="after")
     def _consistent(self):
-        if found := list(self.validation_errors()):
+        try:
+            found = list(self.validation_errors())
+        except (ValueError, AssertionError) as error:
+            # Pydantic would blame the file for what is wrong in the code that checks it.
+            raise _Failed from error
+        if found:
             raise ValueError("\n".join(found))
         return self
 
@@ -63,7 +83,9 @@ def read_toml(
         raise error(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as failure:
         raise error(f"{path}: cannot be read: {failure}") from failure
-    except tomllib.TOMLDecodeError as failure:
+    except RecursionError:
+        raise error(f"{path}: no readable TOML: tables or lists in too many others") from None
+    except ValueError as failure:
         at = re.search(r"\(at line (\d+), column (\d+)\)", str(failure))
         place = f"{path}:{at[1]}" if at else f"{path}"
         raise error(f"{place}: no readable TOML: {failure}") from failure
@@ -72,6 +94,8 @@ def read_toml(
         changed.add(_set(tree, key, value))
     try:
         return model.model_validate(tree)
+    except _Failed as failure:
+        raise failure.__cause__ or failure from None
     except ValidationError as failure:
         found = _validation_errors(failure, model)
     lines = []
@@ -84,7 +108,7 @@ def read_toml(
 
 def _set(tree: dict[str, Any], key: str, text: str) -> Keys:
     """Put one override into the tree; a bare word needs no quotes."""
-    place = f"--set {key}={text}"
+    place = f"--set {key}={text if len(text) < MOST_SHOWN else f'{text[:MOST_SHOWN]}...'}"
     try:
         nested, keys = tomllib.loads(f"{key} = 0"), []
         while isinstance(nested, dict):
@@ -94,9 +118,11 @@ def _set(tree: dict[str, Any], key: str, text: str) -> Keys:
         raise ConfigError(f"{place}: found {key!r}, expected a dotted key") from failure
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as failure:
+    except (ValueError, RecursionError) as failure:
         if not re.fullmatch(r"[A-Za-z_][\w.:=,+-]*", text):
-            raise ConfigError(f"{place}: found {text!r}, expected a TOML value") from failure
+            raise ConfigError(
+                f"{place}: found {shortened(text)}, expected a TOML value"
+            ) from failure
         value = text
     table = tree
     for depth, name in enumerate(keys[:-1], start=1):
@@ -126,20 +152,22 @@ def _validation_errors(
                 yield (*keys, *below.split(".")), message
         else:
             expected = item["msg"].removeprefix("Input should be ")
-            yield keys, f"found {item['input']!r}, expected {expected}"
+            yield keys, f"found {shortened(item['input'])}, expected {expected}"
 
 
 def _known(kind: Any, keys: Keys) -> list[str]:
     """The keys of the table at ``keys``."""
     for key in keys:
-        if typing.get_origin(kind) is dict:
-            kind = typing.get_args(kind)[1]
-        else:
-            kind = kind.model_fields[key].annotation
+        if typing.get_origin(kind) in (dict, list):
+            kind = typing.get_args(kind)[-1]
+        elif str(key) in getattr(kind, "model_fields", {}):
+            kind = kind.model_fields[str(key)].annotation
         # Of ``Table | None``, the table.
         options = (kind, *typing.get_args(kind))
         tables = (
-            o for o in options if typing.get_origin(o) is dict or hasattr(o, "model_fields")
+            o
+            for o in options
+            if typing.get_origin(o) in (dict, list) or hasattr(o, "model_fields")
         )
         kind = next(tables, kind)
     return list(getattr(kind, "model_fields", ()))
@@ -150,9 +178,13 @@ def _line_of(text: str, keys: Keys) -> int | None:
     names = [str(key) for key in keys]
     best, depth = None, 0
     table: list[str] = []
+    counts: Counter[str] = Counter()
     for number, line in enumerate(text.splitlines(), start=1):
         if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]", line):
             table = path = [part.strip(" \"'") for part in header[1].split(".")]
+            if line.lstrip().startswith("[["):
+                table = path = [*path, str(counts[header[1]])]
+                counts[header[1]] += 1
         elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):
             path = [*table, *(part.strip("\"'") for part in entry[1].split("."))]
         else:

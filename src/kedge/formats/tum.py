@@ -14,6 +14,7 @@ from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError
 from kedge.formats.atomic import replace_file
+from kedge.formats.units import nanoseconds
 
 COLUMNS = "timestamp tx ty tz qx qy qz qw"
 
@@ -122,7 +123,7 @@ def _parsed(fields: list[str]) -> tuple[int, list[float]]:
     if len(fields) != 8:
         raise DataError(f"found {len(fields)} fields, expected 8: {COLUMNS}")
     try:
-        stamp = round(Decimal(fields[0]) * 1_000_000_000)
+        stamp = nanoseconds(Decimal(fields[0]), 9)
         row = [float(field) for field in fields[1:]]
     except (ValueError, ArithmeticError) as error:
         raise DataError(f"found {' '.join(fields)!r}, expected eight numbers") from error

@@ -15,6 +15,7 @@ says how it is brought to ENU:
 import math
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,21 @@ UNITS: dict[str, tuple[str, float]] = {
 
 TIME_UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit of time -> power of ten in ns."""
+
+
+def nanoseconds(number: Decimal, power: int) -> int:
+    """A time in ns, rounded; a number beyond 64 bits for whatever 64 bits cannot hold.
+
+    A number of few letters may have a million digits, which nobody should write out.
+
+    Raises:
+        ValueError: it is no finite number.
+    """
+    if not number.is_finite():
+        raise ValueError(f"found {number}, expected a finite number")
+    if number and number.adjusted() + power > 19:
+        return -(2**63) - 1 if number < 0 else 2**63
+    return round(number.scaleb(power))
 
 
 def all_to_enu(

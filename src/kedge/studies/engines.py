@@ -13,6 +13,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +52,8 @@ class Job(NamedTuple):
         Raises:
             KedgeError: it cannot be built here.
         """
+        if self.origin:
+            load_modules(Path(self.origin))
         config = ScenarioConfig.model_validate_json(self.configuration)
         return build_setting(config)
 
@@ -64,10 +67,6 @@ class Job(NamedTuple):
         Raises:
             KedgeError: the scenario or a filter cannot be built here.
         """
-        if self.origin:
-            from pathlib import Path
-
-            load_modules(Path(self.origin))
         setting = self.setting()
         filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
         return Trials(self.study(setting), filters, self.runs, self.chunk, progress)

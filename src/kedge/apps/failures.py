@@ -1,0 +1,38 @@
+"""What a failure is to who runs a command: one line and an exit code."""
+
+import traceback
+from pathlib import Path
+
+import kedge
+from kedge.config.plugins import place_in_plugin
+from kedge.core.errors import KedgeError
+
+INPUT = 2
+DEFECT = 70
+"""An error in kedge itself (EX_SOFTWARE of sysexits.h): no input can be to blame."""
+PACKAGE = str(Path(kedge.__file__).parent)
+HINT = "--debug shows the traceback"
+
+
+def explained(error: Exception) -> tuple[int, str]:
+    """Exit code and message of what a command raised."""
+    if isinstance(error, KedgeError):
+        return INPUT, str(error)
+    what = _one_line(f"{type(error).__name__}: {error}")
+    if place := place_in_plugin(error):
+        return INPUT, f"{place}: {what} ({HINT})"
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in what:
+        return INPUT, f"not enough memory: {what}; expected a smaller problem ({HINT})"
+    if isinstance(error, OSError):
+        # What is written to carries no name: a file that is open, or standard output.
+        file = error.filename or "standard output or a file"
+        return INPUT, f"{file}: {_one_line(error.strerror or str(error))} ({HINT})"
+    frames = traceback.extract_tb(error.__traceback__)
+    inside = [frame for frame in frames if frame.filename.startswith(PACKAGE)] or frames
+    place = f" ({Path(inside[-1].filename).name}:{inside[-1].lineno})" if inside else ""
+    return DEFECT, f"a defect of kedge: {what}{place}; {HINT}: please report it with that"
+
+
+def _one_line(text: str, most: int = 300) -> str:
+    line = text.strip().partition("\n")[0]
+    return line if len(line) <= most else f"{line[:most]}..."
