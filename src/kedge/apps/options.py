@@ -17,9 +17,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print the summary to standar
 Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
 Until = Annotated[float | None, typer.Option(help="Use only so many seconds of the log.")]
 LARGEST_SEED = 2**63 - 1
-Seed = Annotated[
-    int, typer.Option(max=LARGEST_SEED, help="Seed of what is drawn at random.")
-]
+Seed = Annotated[int, typer.Option(max=LARGEST_SEED, help="Seed of what is drawn at random.")]
 Set = Annotated[
     list[str] | None, typer.Option("--set", help="Change the rig, e.g. output.rate=5.")
 ]
