@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from kedge import __version__
 from kedge.apps.console import console_progress
+from kedge.apps.output import file_name
 from kedge.apps.workflow import load
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem
@@ -74,8 +75,9 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
             progress(f"{name}: {len(heard.time)} epochs")
             fixes[name] = jax.tree.map(np.asarray, solve_all(solver, heard.links, position))
             scores[name] = score_fixes(fixes[name], truth, known)
-            stem = f"fixes_{''.join(c if c.isalnum() or c in '-=' else '_' for c in name)}.csv"
-            write_csv(folder / stem, columns_of(problem, heard, fixes[name]))
+            write_csv(
+                folder / f"fixes_{file_name(name)}.csv", columns_of(problem, heard, fixes[name])
+            )
         summary = {
             "command": "locate",
             "arguments": sys.argv[1:],

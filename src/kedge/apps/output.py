@@ -10,7 +10,13 @@ import numpy as np
 from kedge.config.problem import Problem
 from kedge.core.manifolds import space_of
 from kedge.evaluation.score import Run
-from kedge.formats.results import write_estimate, write_summary, write_table, write_verdicts
+from kedge.formats.results import (
+    digest,
+    write_estimate,
+    write_summary,
+    write_table,
+    write_verdicts,
+)
 from kedge.formats.tum import write_tum
 
 
@@ -21,7 +27,7 @@ def write_results(
     write_summary(folder / "summary.json", summary)
     write_table(folder / "table.csv", {run.name: run.scores for run in runs})
     for run in runs:
-        suffix = "" if len(runs) == 1 else f"_{_file_name(run.name)}"
+        suffix = "" if len(runs) == 1 else f"_{file_name(run.name)}"
         track = run.track
         at = problem.recording.outputs
         moments = jax.tree.map(lambda leaf, at=at: np.asarray(leaf)[at], run.estimates.moments)
@@ -44,7 +50,7 @@ def _write_sensor_verdicts(folder: Path, suffix: str, problem: Problem, run: Run
         rows = row[events]
         targets = None if source.targets is None else [source.targets[i] for i in rows]
         write_verdicts(
-            folder / f"verdicts{suffix}_{_file_name(installation.name)}.csv",
+            folder / f"verdicts{suffix}_{file_name(installation.name)}.csv",
             source.stamps[rows],
             targets,
             source.lines[rows],
@@ -53,5 +59,7 @@ def _write_sensor_verdicts(folder: Path, suffix: str, problem: Problem, run: Run
         )
 
 
-def _file_name(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-+=." else "_" for c in name)
+def file_name(name: str) -> str:
+    """A name as part of a file's: no more than file systems take, and still one of its own."""
+    text = "".join(c if c.isalnum() or c in "-+=." else "_" for c in name)
+    return text if len(text.encode()) <= 100 else digest(name)[:16]

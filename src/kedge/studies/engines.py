@@ -159,7 +159,8 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
             "install it with: pip install 'kedge-nav[distributed]'"
         ) from error
     # What becomes of a connection is told below, once; its log has a traceback for each step.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # the second has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         asyncio.run(asyncio.wait_for(_answer(scheduler), ANSWER))
         client: Any = distributed.Client(scheduler, timeout=ANSWER, set_as_default=False)
