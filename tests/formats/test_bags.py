@@ -1,6 +1,7 @@
 """Bags of every kind, written here by the libraries that read them: each gives the same log."""
 
 import json
+import random
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -205,3 +207,117 @@ def test_a_rig_file_with_topics(tmp_path):
     changes = {"bag.topics.radio.columns.range.unit": "mile", "bag.truth": "nobody"}
     with pytest.raises(ConfigError, match=r"(?s)unit.*'mile'|nobody"):
         load_rig_config("isas_walk", changes)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap file", "json", "protobuf"])
+def test_a_damaged_bag_is_refused_or_read(tmp_path, kind):
+    """Whatever the decoding library raises, it is one kind of error."""
+    path = write(tmp_path, kind)
+    good, refused = path.read_bytes(), 0
+    for seed in range(90):
+        draw, data = random.Random(seed), bytearray(good)
+        data[draw.randrange(len(data))] = draw.randrange(256)
+        path.write_bytes(data[: draw.randrange(len(data))] if seed % 3 == 0 else data)
+        try:
+            read_log(str(path), "bag", config())
+        except DataError:
+            refused += 1
+    assert 30 <= refused < 90
+
+
+def test_a_chunk_whose_checksum_is_wrong_is_refused(tmp_path):
+    path = tmp_path / "plain.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType.NONE)
+        writer.start()
+        channel = writer.register_channel("/x", "json", 0)
+        for number in range(3):
+            data = json.dumps({"stamp": number, "value": 1234.5}).encode()
+            writer.add_message(channel, log_time=number, publish_time=number, data=data)
+        writer.finish()
+    columns = {"range": {"field": "value", "unit": "m"}}
+    topic = {"topic": "/x", "stamp": "stamp", "columns": columns}
+    known = BagConfig.model_validate({"topics": {"radio": topic}})
+    assert read_log(str(path), "bag", known).tables["radio"].columns["range"][1] == 1234.5
+    path.write_bytes(path.read_bytes().replace(b"1234.5", b"9234.5", 1))
+    with pytest.raises(
+        DataError, match=r"plain\.mcap: cannot be read as MCAP after 0 mess.*CRC"
+    ):
+        read_log(str(path), "bag", known)
+
+
+def values(path, rows):
+    """A recording in JSON whose messages are these."""
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        channel = writer.register_channel("/x", "json", 0)
+        for at, row in enumerate(rows):
+            data = json.dumps(row).encode()
+            writer.add_message(channel, log_time=at, publish_time=at, data=data)
+        writer.finish()
+    columns = {"range": {"field": "v", "unit": "m"}}
+    topic = {"topic": "/x", "stamp": "t", "columns": columns}
+    return read_log(
+        str(path), "bag", BagConfig.model_validate({"topics": {"radio": topic}})
+    ).tables["radio"]
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ({"t": float("nan"), "v": 1}, "'t': found nan, expected a time"),
+        ({"t": 1.7e18, "v": 1}, "'t': found a time beyond 292 years from 0, expected one in s"),
+        ({"t": {"sec": "x", "nanosec": 0}, "v": 1}, "expected two whole numbers"),
+        ({"t": 1, "v": 10**400}, "'v': found a int, expected a number"),
+    ],
+    ids=["nan", "nanoseconds", "text", "a long number"],
+)
+def test_a_value_that_is_none_is_named_with_its_message(tmp_path, row, message):
+    with pytest.raises(DataError, match=f"topic '/x' .*message 2: .*{message}"):
+        values(tmp_path / "x.mcap", [{"t": 0, "v": 1}, row])
+
+
+@pytest.mark.parametrize(
+    ("times", "looks"),
+    [
+        ([0, 10, 20, 30, 0.5, 10.5], "a second playing of the recording"),
+        ([86_395, 86_399, 1, 2], "midnight in stamps without a date"),
+        ([604_790, 604_799, 0, 1], "a new GPS week"),
+    ],
+    ids=["played twice", "midnight", "week"],
+)
+def test_time_that_jumps_back_is_refused_and_what_is_late_is_sorted(tmp_path, times, looks):
+    with pytest.raises(DataError, match=f"expected it to go back by at most 5 s; .*{looks}"):
+        values(tmp_path / "x.mcap", [{"t": at, "v": 1} for at in times])
+    late = values(tmp_path / "x.mcap", [{"t": at, "v": at} for at in (0, 4, 2, 8)])
+    assert late.columns["range"].tolist() == [0, 2, 4, 8]
+
+
+def test_a_map_from_a_bag_passes_the_checks_of_a_folder(tmp_path):
+    def read(anchors):
+        path = tmp_path / "map.mcap"
+        with path.open("wb") as file:
+            writer = McapWriter(file)
+            writer.start()
+            for topic, content in (("/x", {"t": 0, "v": 1}), ("/map", {"anchors": anchors})):
+                channel = writer.register_channel(topic, "json", 0)
+                data = json.dumps(content).encode()
+                writer.add_message(channel, log_time=0, publish_time=0, data=data)
+            writer.finish()
+        columns = {"position_x": {"field": "x", "unit": "m"}}
+        spec = {"topic": "/map", "each": "anchors", "target": "id", "columns": columns}
+        value = {"range": {"field": "v", "unit": "m"}}
+        topics = {"radio": {"topic": "/x", "stamp": "t", "columns": value}}
+        known = BagConfig.model_validate({"topics": topics, "maps": {"anchors": spec}})
+        return read_log(str(path), "bag", known).maps["anchors"]
+
+    assert read([{"id": 1, "x": 2.0}]).ids == ("1",)
+    for anchors, message in (
+        ([], "a map without targets"),
+        ([{"id": 1, "x": 2.0}, {"id": 1, "x": 3.0}], "target '1' twice"),
+        ([{"id": 1, "x": float("nan")}], "target '1': expected a finite number"),
+        ({"id": 1}, "'anchors': found a dict, expected a list"),
+    ):
+        with pytest.raises(DataError, match=message):
+            read(anchors)
