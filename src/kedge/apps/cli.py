@@ -1,6 +1,5 @@
 """The command line. Commands import what they need when they run, so ``--help`` is quick."""
 
-import errno
 import os
 import sys
 import traceback
@@ -22,6 +21,7 @@ from kedge.apps.console import (
     print_json,
     require,
 )
+from kedge.apps.failures import end, explained, flush_output
 from kedge.apps.options import (
     LARGEST_SEED,
     Force,
@@ -38,7 +38,6 @@ from kedge.apps.options import (
     Truth,
     Until,
 )
-from kedge.core.errors import DataError
 
 app = typer.Typer(
     name="kedge",
@@ -380,39 +379,18 @@ def main() -> None:
             try:
                 app()
             finally:
-                _flush(closed)
+                flush_output(closed)
     except ThresholdMissed as error:
-        _end(3, str(error))
+        end(3, str(error))
     except Interrupted as error:
-        _end(130, f"interrupted; {error}")
+        end(130, f"interrupted; {error}")
     except BrokenPipeError:
         # `kedge list | head`: the reader has seen enough; nothing is left to flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
         if debug:
             traceback.print_exc()
-        from kedge.apps.failures import explained
-
-        _end(*explained(error))
-
-
-def _flush(closed: bool) -> None:
-    """Write out what was printed, while a failure can still be told."""
-    try:
-        if closed:
-            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-        sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        # Else the interpreter would try again at its end, and fail with a code of its own.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        raise DataError(f"standard output: cannot be written: {error.strerror}") from error
-
-
-def _end(code: int, message: str) -> None:
-    print(f"kedge: {message}", file=sys.stderr)
-    sys.exit(code)
+        end(*explained(error))
 
 
 if __name__ == "__main__":

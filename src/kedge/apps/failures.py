@@ -1,11 +1,15 @@
 """What a failure is to who runs a command: one line and an exit code."""
 
+import errno
+import os
+import sys
 import traceback
 from pathlib import Path
+from typing import NoReturn
 
 import kedge
 from kedge.config.plugins import place_in_plugin
-from kedge.core.errors import KedgeError
+from kedge.core.errors import DataError, KedgeError
 
 INPUT = 2
 DEFECT = 70
@@ -31,6 +35,31 @@ def explained(error: Exception) -> tuple[int, str]:
     inside = [frame for frame in frames if frame.filename.startswith(PACKAGE)] or frames
     place = f" ({Path(inside[-1].filename).name}:{inside[-1].lineno})" if inside else ""
     return DEFECT, f"a defect of kedge: {what}{place}; {HINT}: please report it with that"
+
+
+def flush_output(closed: bool) -> None:
+    """Write out what was printed, while a failure can still be told.
+
+    Raises:
+        DataError: standard output is ``closed`` or full.
+        BrokenPipeError: who read it has seen enough.
+    """
+    try:
+        if closed:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # Else the interpreter would try again at its end, and fail with a code of its own.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        raise DataError(f"standard output: cannot be written: {error.strerror}") from error
+
+
+def end(code: int, message: str) -> NoReturn:
+    """Say what went wrong, and end."""
+    print(f"kedge: {message}", file=sys.stderr)
+    sys.exit(code)
 
 
 def _one_line(text: str, most: int = 300) -> str:
