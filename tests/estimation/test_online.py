@@ -158,6 +158,7 @@ def test_a_start_that_is_not_zero(make):
 
 def test_every_program_is_compiled_once(rig, key, monkeypatch):
     """Weakly typed numbers, fresh covariances and new parameters are no new types."""
+    monkeypatch.setenv("KEDGE_ENGINE", "xla")
     traced = []
     for name in ("predict_to", "process_measurement"):
         inner = getattr(online, name)

@@ -74,10 +74,7 @@ COV = np.outer(STD, STD) * (0.8 + 0.2 * np.eye(6))
 @ft.cache
 def cycles(name):
     """Covariances after each prediction and each update, 30 of both."""
-    # Points that are not drawn again do not know the step's noise, which an exact reading then
-    # cannot take away.
-    options = {"redraw": True} if name == "additive-unscented" else {}
-    filter, key = registry.filters.make(name, **options), jax.random.key(0)
+    filter, key = registry.filters.make(name), jax.random.key(0)
 
     @quick_jit
     def run(cov):

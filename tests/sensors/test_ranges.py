@@ -146,3 +146,9 @@ def test_shorter_than_the_difference_of_heights(reading, verdict):
     estimator = Estimator(ExtendedKalman(), rig)
     answer = estimator.push(0.0, "radio", Measurement(jnp.array(float(reading))), target=1)
     assert answer.verdict == verdict
+
+
+@pytest.mark.parametrize("name", ["anchor biases", "class", "_bias"])
+def test_biases_need_the_name_of_a_field(name):
+    with pytest.raises(ContractError, match=f"biases: found '{name}'"):
+        _ = Ranges(biases=name).reads

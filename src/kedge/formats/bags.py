@@ -24,7 +24,7 @@ from kedge.core.registry import readers
 from kedge.formats.bag_config import BagConfig, TopicConfig
 from kedge.formats.bag_messages import Bag, Message, open_bag
 from kedge.formats.logs import RawLog, TargetMap, checked_map
-from kedge.formats.tables import Table, in_order, table_of
+from kedge.formats.tables import MOST_DISORDER, Table, in_order, table_of
 from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
 
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
@@ -139,7 +139,7 @@ def _table(path: Path, name: str, rows: Rows, notes: list[str]) -> Table:
     table = table_of(
         name, path, np.array(rows.stamps), rows.columns(), texts, np.array(rows.lines)
     )
-    return in_order(table, notes)
+    return in_order(table, notes, MOST_DISORDER)
 
 
 def _map(path: Path, rows: Rows) -> TargetMap:

@@ -274,18 +274,18 @@ def stamps_of(
     return np.round(seconds * 1e9).astype(np.int64)
 
 
-def in_order(table: Table, notes: list[str]) -> Table:
+def in_order(table: Table, notes: list[str], disorder: float = np.inf) -> Table:
     """The table in time order, each stamp (and target) once; ``notes`` says what was changed.
 
     Of several rows with one stamp the last stays, since a later message replaces the earlier.
 
     Raises:
-        DataError: time jumps back by more than ``MOST_DISORDER``: these are two drives, or a
-            clock that began anew.
+        DataError: time jumps back by more than ``disorder`` seconds: these are two drives, or
+            a clock that began anew.
     """
     backwards = int((np.diff(table.stamps) < 0).sum())
     if backwards:
-        _check_jump(table)
+        _check_jump(table, disorder)
         notes.append(f"{table.name}: time went backwards {backwards} times; rows were sorted")
         table = table.take(np.argsort(table.stamps, kind="stable"))
     if (np.diff(table.stamps) > 0).all():
@@ -303,12 +303,12 @@ def in_order(table: Table, notes: list[str]) -> Table:
     return table.take(np.array(sorted(last.values())))
 
 
-def _check_jump(table: Table) -> None:
+def _check_jump(table: Table, disorder: float) -> None:
     latest = np.maximum.accumulate(table.stamps)
     jump = (latest - table.stamps) / 1e9
-    if jump.max() <= MOST_DISORDER:
+    if jump.max() <= disorder:
         return
-    at = int(np.argmax(jump > MOST_DISORDER))
+    at = int(np.argmax(jump > disorder))
     before = int(np.argmax(table.stamps == latest[at]))
     known = {86_400: "midnight in stamps without a date", 604_800: "a new GPS week"}
     looks = next((what for size, what in known.items() if abs(jump[at] - size) < 60), None)
@@ -319,7 +319,7 @@ def _check_jump(table: Table) -> None:
     raise DataError(
         f"{table.path}: {table.name}: row {table.lines[at]}: found {table.stamps[at]} ns after "
         f"{latest[at]} ns in row {table.lines[before]}, expected it to go back by at most "
-        f"{MOST_DISORDER:g} s{f'; it looks like {looks}' if looks else ''}"
+        f"{disorder:g} s{f'; it looks like {looks}' if looks else ''}"
     )
 
 

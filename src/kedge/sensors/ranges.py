@@ -1,6 +1,7 @@
 """Ranges to the anchors of a map: one sensor over the map, each reading names its anchor."""
 
 import functools as ft
+import keyword
 import types
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractSensor, Ranging
+from kedge.core.errors import ContractError
 from kedge.core.manifolds import Euclidean
 from kedge.core.quantities import Metres, Position, Position3, Range, Ratio
 from kedge.core.registry import sensors
@@ -74,6 +76,10 @@ class _Layout:
 
 @ft.cache
 def _with_biases(plain: Any, name: str, count: int) -> Any:
+    if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
+        raise ContractError(
+            f"biases: found {name!r}, expected the name of a field: letters, digits and _"
+        )
     chart = Annotated[Float[Array, str(count)], Euclidean("m", (count,))]
     fields = {**plain.__annotations__, name: chart}
     body = {

@@ -53,18 +53,18 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
 
     $P^- = \sum_i w_i (x_i \boxminus \bar x)(\cdot)^\top + G Q G^\top$ with
     $x_i = f(\chi_i, u, 0)$ and G the derivative by the noise at the mean; the update looks at
-    the points $x_i$ as they were propagated: $S = \sum_i w_i (z_i - \bar z)(\cdot)^\top + R$,
-    $K = P_{xz} S^{-1}$, $P^+ = P^- - K S K^\top$ as a sum of squares in which no digits cancel,
-    $\sum_i w_i (x_i \boxminus \bar x - K (z_i - \bar z))(\cdot)^\top + K R K^\top +
-    G Q G^\top$.
-    These points do not know the last step's noise, so even an exact reading leaves its share.
+    new points of $P^-$ (Särkkä's form, section 5.6, and FilterPy's):
+    $S = \sum_i w_i (z_i - \bar z)(\cdot)^\top + R$, $K = P_{xz} S^{-1}$ and
+    $P^+ = P^- - K S K^\top$, as a sum of squares in which no digits cancel:
+    $\sum_i w_i (x_i \boxminus \bar x - K (z_i - \bar z))(\cdot)^\top + K R K^\top$.
 
-    With ``redraw`` the update looks at new points of $P^-$ instead, which know of the noise:
-    Särkkä's form (section 5.6), and FilterPy's. The filter "unscented" differs from both in the
-    third digit where a model is nonlinear: it draws new points too, and sends the noise through
-    the model as further variables of its points. With ``alpha`` 1, ``beta`` 0 and ``kappa`` 0
-    it is the cubature filter with additive noise. After an update the points are drawn anew,
-    for readings that come at one time.
+    Without ``redraw`` it looks at the points as they were propagated, as Wan and van der Merwe
+    print it, and $G Q G^\top$ is added to $P^+$. Those points do not know the last step's
+    noise, so on a linear model that is not the Kalman filter. The filter "unscented" differs
+    from both in the third digit where a model is nonlinear: it draws new points too, and sends
+    the noise through the model as further variables of its points. With ``alpha`` 1, ``beta``
+    0 and ``kappa`` 0 it is the cubature filter with additive noise. After an update the points
+    are drawn anew, for readings that come at one time.
 
     Source: S. Julier and J. Uhlmann, "Unscented filtering and nonlinear estimation", Proc.
     IEEE 92(3), 2004, section IV; E. Wan and R. van der Merwe, "The unscented Kalman filter
@@ -75,7 +75,7 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
     alpha: float = eqx.field(static=True, default=1.0)
     beta: float = eqx.field(static=True, default=0.0)
     kappa: float = eqx.field(static=True, default=1.0)
-    redraw: bool = eqx.field(static=True, default=False)
+    redraw: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
         self._rule(1)
