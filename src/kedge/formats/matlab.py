@@ -3,7 +3,7 @@
 SciPy's reader takes the file's word for its sizes: a damaged file of 2 kB asks for gigabytes,
 or ends the process. Here nothing is reserved that the file's own bytes cannot fill.
 
-Source: MathWorks, "MAT-File Format", version 5, 2024, chapter "Level 5 MAT-File Format".
+Source: MathWorks, "MAT-File Format", version 5, 2024, chapter 1, level 5.
 """
 
 import math
