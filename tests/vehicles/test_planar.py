@@ -7,7 +7,15 @@ import pytest
 import scipy
 
 from kedge.testing import quick_jit
-from kedge.vehicles import commanded, differential_drive, unicycle
+from kedge.vehicles import arc as arc_of
+from kedge.vehicles import (
+    bicycle,
+    commanded,
+    differential_drive,
+    odometry,
+    planar_twist,
+    unicycle,
+)
 from kedge.vehicles.constant_velocity import ConstantVelocity
 from kedge.vehicles.constant_velocity import Control as Nothing
 from kedge.vehicles.constant_velocity import Noise as Acceleration
@@ -137,3 +145,62 @@ def test_a_robot_that_stands_stays_where_it_is():
     after = end(np.array([3.0, -2.0]))
     np.testing.assert_array_equal(after.position, [1, 1])
     np.testing.assert_allclose(after.heading, 0.2, rtol=1e-15)
+
+
+def chord_by_integration(pose, ahead, aside, turn):
+    """Complex integral of the way, turned by the heading at each moment."""
+
+    def rate(share, part):
+        return part((ahead + 1j * aside) * np.exp(1j * (pose.heading + turn * share)))
+
+    return sum(
+        unit * scipy.integrate.quad(rate, 0, 1, (part,))[0]
+        for unit, part in ((1, np.real), (1j, np.imag))
+    )
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-13, -0.3, 2.0, 7.0])
+def test_an_arc_is_the_integral_of_its_twist(turn):
+    begun = arc_of.State(jnp.array([1.0, -2.0]), jnp.asarray(0.4))
+    along = quick_jit(lambda turn: arc_of.along_arc(begun, 0.8, -0.3, turn))
+    place = 1 - 2j + chord_by_integration(begun, 0.8, -0.3, turn)
+    after = along(turn)
+    np.testing.assert_allclose(after.position, [place.real, place.imag], rtol=1e-12)
+    np.testing.assert_allclose(np.exp(1j * after.heading), np.exp(1j * (0.4 + turn)))
+
+
+def test_a_turn_of_next_to_nothing_has_the_derivative_of_none():
+    begun = arc_of.State(jnp.zeros(2), jnp.asarray(0.0))
+    slope = quick_jit(jax.jacfwd(lambda turn: arc_of.along_arc(begun, 1.0, 0.0, turn).position))
+    for turn in (0.0, 1e-13, 3e-11):
+        np.testing.assert_allclose(slope(turn), [0.0, 0.5], atol=1e-10)
+
+
+def test_a_bicycle_drives_on_the_circle_of_its_steering():
+    """Its rear axle is on a circle of the radius L / tan(delta), whatever the speed."""
+    car = bicycle.Bicycle(wheelbase=2.0, steering_offset=0.05)
+    control, calm = bicycle.Control(1.5, 0.35), bicycle.Control(0.0, 0.0)
+    after = car.step(car.start(), control, calm, 1.0)
+    radius = 2.0 / np.tan(0.3)
+    np.testing.assert_allclose(
+        after.position, [radius * np.sin(1.5 / radius), radius * (1 - np.cos(1.5 / radius))]
+    )
+    np.testing.assert_allclose(after.heading, 1.5 / radius)
+
+
+@pytest.mark.parametrize(
+    ("model", "control", "own"),
+    [
+        (Unicycle, unicycle.Control(0.0, 0.02), {}),
+        (planar_twist.PlanarTwist, planar_twist.Control(0.0, 0.0, 0.02), {}),
+        (Drive, differential_drive.Control(-0.005, 0.005), {}),
+        (odometry.Odometry, odometry.Control(-5.0, 5.0), {}),
+        (commanded.Commanded, commanded.Control(0.0, 0.02), {"lag": 1e-3}),
+    ],
+)
+def test_a_bias_is_what_the_yaw_rate_reads_at_rest(model, control, own):
+    """A turn of 0.02 rad/s that is all bias leaves the heading where it was."""
+    vehicle = model(yaw_rate_bias=0.02, **own)
+    calm = jax.tree.map(lambda leaf: 0.0 * jnp.asarray(leaf), vehicle.noise_density())
+    after = vehicle.step(vehicle.start(), control, calm, 1.0)
+    np.testing.assert_allclose(after.heading, 0.0, atol=1e-12)

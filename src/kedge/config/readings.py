@@ -15,6 +15,7 @@ from kedge.core.registry import sensors, unknown
 from kedge.estimation.log import SECOND, Readings, Stamped
 from kedge.formats.inertial import SLOPE, held, question, unit_of
 from kedge.formats.logs import RawLog, TargetMap
+from kedge.formats.odometry import POSE, counted, driven
 from kedge.formats.tables import Table, require_finite
 
 
@@ -90,9 +91,17 @@ def read_controls(
     table = find_table(raw, config.control.source, f"{config.origin}: control.source")
     sampling, units = config.control.sampling, space_of(cls).column_units
     wanted = {part: unit_of(u, sampling) for part, u in units.items() if SLOPE not in part}
+    if sampling == "poses":
+        wanted = POSE
     columns = find_columns(table, wanted, config.control.columns, "control")
     names = [config.control.columns.get(part, part) for part in columns]
     require_finite(table, names, "a control")
+    if sampling == "counts":
+        columns = counted(columns, config.control.counter)
+    elif sampling == "poses":
+        columns = driven(columns)
+    if sampling in ("counts", "poses"):
+        sampling = "increments"
     if sampling != "previous" or len(wanted) < len(units):
         columns = held(table.stamps, columns, sampling)
     controls = _fields(cls, columns, len(table.stamps))

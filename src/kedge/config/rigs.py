@@ -19,17 +19,15 @@ from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 from kedge.config.filters import build_filter
 from kedge.config.inheritance import completed
 from kedge.config.models import Parameter, build_model, model_errors
+from kedge.config.motion import ControlConfig, Finite, Positive, VehicleConfig
 from kedge.config.plugins import load_modules
 from kedge.core.errors import ConfigError, ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
 from kedge.formats.bag_config import BagConfig
-from kedge.formats.inertial import Sampling
+from kedge.formats.odometry import POSE, TWIST
 from kedge.formats.toml import Strict, read_toml
 from kedge.numerics.losses import Kind, Side
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[Finite, Field(gt=0)]
 
 
 def _listed(value: Any) -> Any:
@@ -39,34 +37,6 @@ def _listed(value: Any) -> Any:
 _NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 Numbers = Annotated[list[Finite], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
 Spreads = Annotated[list[Positive], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
-
-
-class AugmentedConfig(Strict):
-    """A slowly varying quantity that is estimated with the state."""
-
-    std: Positive
-    random_walk: Annotated[Finite, Field(ge=0)] = 0.0
-    time_constant: Positive | None = None
-
-
-class VehicleConfig(Strict):
-    """The motion model."""
-
-    model: str
-    parameters: dict[str, Parameter] = {}
-    augmented: dict[str, AugmentedConfig] = {}
-
-    def validation_errors(self) -> Iterator[str]:
-        """Unknown names."""
-        yield from model_errors(vehicles, self.model, self.parameters)
-
-
-class ControlConfig(Strict):
-    """Where the control comes from."""
-
-    source: str
-    columns: dict[str, str] = {}
-    sampling: Sampling = "previous"
 
 
 class MountConfig(Strict):
@@ -292,6 +262,13 @@ class RigConfig(AbstractRigConfig):
                 f"control: this key is missing; vehicle {self.vehicle.model!r} is driven by "
                 f"{', '.join(driven)}"
             )
+        if self.control and self.control.sampling == "poses":
+            if strange := [name for name in driven if name not in TWIST]:
+                yield (
+                    f"control.sampling: poses tell no {strange[0]}, by which vehicle "
+                    f"{self.vehicle.model!r} is driven; expected speeds and a yaw rate"
+                )
+            driven = list(POSE)
         for name in self.control.columns if self.control else ():
             if name not in driven:
                 yield f"control.columns.{name}: {unknown('control component', name, driven)}"

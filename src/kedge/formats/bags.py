@@ -21,8 +21,9 @@ from jaxtyping import Float
 
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.registry import readers
-from kedge.formats.bag_config import BagConfig, TopicConfig
+from kedge.formats.bag_config import BagConfig, FieldConfig, TopicConfig
 from kedge.formats.bag_messages import Bag, Message, open_bag
+from kedge.formats.bag_turns import ANGLES, ATTITUDE, parts_of, quaternion_in, turn_of
 from kedge.formats.logs import RawLog, TargetMap, checked_map
 from kedge.formats.tables import MOST_DISORDER, Table, in_order, table_of
 from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
@@ -38,7 +39,12 @@ class Rows:
         self.stamps: list[int] = []
         self.lines: list[int] = []
         self.targets: list[str] = []
-        self.values: dict[str, list[float]] = {name: [] for name in spec.columns}
+        self.units = {
+            part: column.unit
+            for name, column in spec.columns.items()
+            for part in parts_of(name)
+        }
+        self.values: dict[str, list[float]] = {name: [] for name in self.units}
         self.count = 0
 
     def add(self, path: Path, message: Message, timed: bool) -> None:
@@ -76,12 +82,13 @@ class Rows:
             if spec.target is not None:
                 self.targets.append(str(_find(element, spec.target, place)))
             for name, column in spec.columns.items():
-                self.values[name].append(_number(element, column.field, place))
+                numbers = _numbers(name, element, column, place)
+                for part, value in zip(parts_of(name), numbers, strict=True):
+                    self.values[part].append(value)
 
     def columns(self) -> dict[str, tuple[Float[np.ndarray, " n"], str]]:
         """Values and units by column."""
-        units = {name: column.unit for name, column in self.spec.columns.items()}
-        return {name: (np.array(v, float), units[name]) for name, v in self.values.items()}
+        return {n: (np.array(v, float), self.units[n]) for n, v in self.values.items()}
 
 
 @readers.add("bag")
@@ -145,7 +152,7 @@ def _table(path: Path, name: str, rows: Rows, notes: list[str]) -> Table:
 def _map(path: Path, rows: Rows) -> TargetMap:
     """Targets from the first message of a topic."""
     columns = {name: values * UNITS[unit][1] for name, (values, unit) in rows.columns().items()}
-    units = {name: UNITS[column.unit][0] for name, column in rows.spec.columns.items()}
+    units = {name: UNITS[unit][0] for name, unit in rows.units.items()}
     return checked_map(f"{path}: topic {rows.spec.topic!r}", rows.targets, columns, units)
 
 
@@ -176,6 +183,23 @@ def _names(content: Any) -> list[str]:
         return [f"[0] to [{len(content) - 1}]"]
     fields = getattr(content, "__dataclass_fields__", {})
     return [name for name in fields if not name.startswith("__")]
+
+
+def _numbers(name: str, content: Any, column: FieldConfig, place: str) -> tuple[float, ...]:
+    """What a column gets of a message: a number, or what it makes of a quaternion."""
+    around, _, axis = column.field.rpartition(".")
+    angle = column.unit in ANGLES and around and axis in set("wxyz")
+    if angle and quaternion_in(_find(content, around, place)):
+        raise DataError(
+            f"{place}: {column.field!r} is a component of a quaternion, not an angle in "
+            f"{column.unit}; field = {around!r} takes the heading of it"
+        )
+    turn = quaternion_in(_find(content, column.field, place))
+    if turn is not None:
+        return turn_of(name, column.unit, turn, f"{place}: {column.field!r}")
+    if name == ATTITUDE:
+        raise DataError(f"{place}: {column.field!r}: found no quaternion, expected one")
+    return (_number(content, column.field, place),)
 
 
 def _number(content: Any, way: str, place: str) -> float:

@@ -14,9 +14,10 @@ from kedge.core.errors import DataError
 from kedge.estimation.log import SECOND
 from kedge.formats.tables import Table
 
-Sampling = Literal["previous", "trapezoid", "means", "increments"]
+Sampling = Literal["previous", "trapezoid", "means", "increments", "counts", "poses"]
 """How the step after a sample is driven: by itself, by the mean of it and the next, or
-by the next, which tells the mean or the integral over the step."""
+by the next, which tells the mean or the integral over the step; or by what a counter of
+ticks, or the pose of an odometry, changes by until the next."""
 SLOPE = "_slope"
 FASTEST = 35.0  # rad/s; 2000 degrees a second, the widest range of small gyroscopes
 BRISK = 2 * np.pi  # rad/s
@@ -25,8 +26,8 @@ STRETCH = 10.0
 
 def unit_of(unit: str, sampling: Sampling) -> str:
     """The unit of a column: that of its integral if increments are told."""
-    integrals = {"rad/s": "rad", "m/s^2": "m/s", "m/s": "m"}
-    return integrals.get(unit, unit) if sampling == "increments" else unit
+    integrals = {"rad/s": "rad", "m/s^2": "m/s", "m/s": "m", "1/s": "1"}
+    return integrals.get(unit, unit) if sampling in ("increments", "counts") else unit
 
 
 def held(

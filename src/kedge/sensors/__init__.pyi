@@ -8,11 +8,14 @@ from kedge.sensors.doppler import DopplerThroughWater as DopplerWater
 from kedge.sensors.gnss import Gnss as Gnss
 from kedge.sensors.gnss3 import Gnss3 as Gnss3
 from kedge.sensors.gyroscope import Gyroscope as Gyroscope
+from kedge.sensors.heading import PlanarHeading as Heading
 from kedge.sensors.landmark_camera import LandmarkCamera as LandmarkCamera
 from kedge.sensors.landmark_pose import LandmarkPose as LandmarkPose
 from kedge.sensors.landmark_pose import UnwrappedLandmarkPose as LandmarkPoseUnwrapped
 from kedge.sensors.landmarks import Landmarks as Landmarks
 from kedge.sensors.odometer import Odometer as Odometer
+from kedge.sensors.odometry_increment import OdometryIncrement as OdometryIncrement
+from kedge.sensors.pose import PlanarPose as Pose
 from kedge.sensors.position_velocity import PositionVelocity as PositionVelocity
 from kedge.sensors.range_differences import RangeDifferences as RangeDifferences
 from kedge.sensors.range_differences import RangeDifferences3 as RangeDifferences3
@@ -40,11 +43,14 @@ __all__ = [
     "Gnss",
     "Gnss3",
     "Gyroscope",
+    "Heading",
     "LandmarkCamera",
     "LandmarkPose",
     "LandmarkPoseUnwrapped",
     "Landmarks",
     "Odometer",
+    "OdometryIncrement",
+    "Pose",
     "PositionVelocity",
     "RangeDifferences",
     "RangeDifferences3",

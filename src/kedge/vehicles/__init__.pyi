@@ -2,6 +2,7 @@ from kedge.vehicles.augmented import Drift as Drift
 from kedge.vehicles.augmented import augment as augment
 from kedge.vehicles.benchmarks.lorenz63 import Lorenz63 as Lorenz63
 from kedge.vehicles.benchmarks.lorenz96 import Lorenz96 as Lorenz96
+from kedge.vehicles.bicycle import Bicycle as Bicycle
 from kedge.vehicles.body_twist import BodyTwist as BodyTwist
 from kedge.vehicles.coasting_body import CoastingBody as CoastingBody
 from kedge.vehicles.commanded import Commanded as Commanded
@@ -16,7 +17,9 @@ from kedge.vehicles.differential_drive import DifferentialDrive as DifferentialD
 from kedge.vehicles.inertial_point import InertialPoint as InertialPoint
 from kedge.vehicles.lateral_tracking import LateralTracking as LateralTracking
 from kedge.vehicles.lateral_tracking import LinearLateralTracking as LateralTrackingLinear
+from kedge.vehicles.odometry import Odometry as Odometry
 from kedge.vehicles.omnidirectional import Omnidirectional as Omnidirectional
+from kedge.vehicles.planar_twist import PlanarTwist as PlanarTwist
 from kedge.vehicles.still import Still as Still
 from kedge.vehicles.strapdown import RatedStrapdown as StrapdownRated
 from kedge.vehicles.strapdown import Strapdown as Strapdown
@@ -36,6 +39,7 @@ from kedge.vehicles.wandering import Wandering as Wandering
 from kedge.vehicles.wandering import Wandering3 as Wandering3
 
 __all__ = [
+    "Bicycle",
     "BodyTwist",
     "CoastingBody",
     "Commanded",
@@ -53,7 +57,9 @@ __all__ = [
     "Load",
     "Lorenz63",
     "Lorenz96",
+    "Odometry",
     "Omnidirectional",
+    "PlanarTwist",
     "Still",
     "Strapdown",
     "StrapdownGeodetic",

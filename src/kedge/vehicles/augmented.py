@@ -123,6 +123,12 @@ def augment(
         if name in taken:
             raise ContractError(f"augmented state {name!r} is in the vehicle's state already")
         if name not in known:
+            if name in {field.name for field in dataclasses.fields(vehicle)}:
+                raise ContractError(
+                    f"augmented state {name!r} is a parameter of {type(vehicle).__name__} "
+                    "whose annotation has no unit; annotate it with a quantity from "
+                    "kedge.core.quantities, such as Metres or Ratio, and it can be estimated"
+                )
             raise ContractError(
                 f"augmented state {name!r} is neither a parameter of the vehicle nor an "
                 f"optional field of a sensor; there are {', '.join(sorted(known)) or 'none'}"

@@ -45,7 +45,8 @@ class Commanded(AbstractVehicle[State, Control, Noise]):
     r"""A unicycle whose motors follow commands with a gain, a lag and a slip.
 
     $\dot p = \max(s_v u_v - c |u_\omega|, 0) [\cos\psi, \sin\psi]^\top$,
-    $\dot\omega = (s_\omega u_\omega + \kappa u_v - \omega) / \tau + w$, $\dot\psi = \omega$.
+    $\dot\omega = (s_\omega (u_\omega - b) + \kappa u_v - \omega) / \tau + w$,
+    $\dot\psi = \omega$.
     Wheels that must turn against each other leave less speed (c); unequal ones draw an arc
     (kappa). The noise is in proportion to the motion, so a robot that stands stays where it is;
     its densities are shares of speed and yaw rate per root hertz.
@@ -59,6 +60,7 @@ class Commanded(AbstractVehicle[State, Control, Noise]):
     turn_slowdown: Metres = 0.0
     yaw_rate_scale: Ratio = 1.0
     yaw_per_metre: Curvature = 0.0
+    yaw_rate_bias: YawRate = 0.0
     lag: Seconds = 0.15
     slip: Ratio = 0.2  # of the speed, into the speed
     turning_slip: Metres = 0.02  # of the yaw rate, into the speed
@@ -69,7 +71,8 @@ class Commanded(AbstractVehicle[State, Control, Noise]):
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
         wanted = self.speed_scale * control.speed
         speed = jnp.maximum(wanted - self.turn_slowdown * jnp.abs(control.yaw_rate), 0.0)
-        goal = self.yaw_rate_scale * control.yaw_rate + self.yaw_per_metre * control.speed
+        told = control.yaw_rate - self.yaw_rate_bias
+        goal = self.yaw_rate_scale * told + self.yaw_per_metre * control.speed
         decay = jnp.exp(-dt / self.lag)
         rate = jnp.abs(state.yaw_rate)
         distance = (speed + (self.slip * speed + self.turning_slip * rate) * noise.speed) * dt

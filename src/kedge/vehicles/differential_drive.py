@@ -5,7 +5,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from kedge.core.contracts import AbstractVehicle
-from kedge.core.quantities import Heading, Metres, Position, Ratio, Scalar, Speed, SpeedNoise
+from kedge.core.quantities import (
+    Heading,
+    Metres,
+    Position,
+    Ratio,
+    Scalar,
+    Speed,
+    SpeedNoise,
+    YawRate,
+)
 from kedge.core.registry import vehicles
 from kedge.core.rotations import direction, wrap
 
@@ -24,8 +33,9 @@ class Control(NamedTuple):
 class DifferentialDrive(AbstractVehicle[State, Control, Control]):
     r"""Wheel speeds drive speed and yaw rate; position is the middle of the axle.
 
-    $v = (v_r + v_l)/2,\ \omega = (v_r - v_l)/b$ with $v_i = s_i u_i + w_i$, advanced along the
-    exact chord of the arc. Track width b and scales can be estimated as augmented states.
+    $v = (v_r + v_l)/2,\ \omega = (v_r - v_l)/b - b_\omega$ with $v_i = s_i u_i + w_i$, advanced
+    along the exact chord of the arc. Track width b, scales and the bias $b_\omega$ can be
+    estimated as augmented states.
 
     Source: R. Siegwart, I. Nourbakhsh, "Introduction to Autonomous Mobile Robots", 2004,
     sections 3.2 and 5.2.4.
@@ -34,12 +44,13 @@ class DifferentialDrive(AbstractVehicle[State, Control, Control]):
     track: Metres = 0.5
     left_scale: Ratio = 1.0
     right_scale: Ratio = 1.0
+    yaw_rate_bias: YawRate = 0.0
     wheel_noise: SpeedNoise = 0.03
 
     def step(self, state: State, control: Control, noise: Control, dt: Scalar) -> State:
         left = (self.left_scale * control.left + noise.left) * dt
         right = (self.right_scale * control.right + noise.right) * dt
-        turn = (right - left) / self.track
+        turn = (right - left) / self.track - self.yaw_rate_bias * dt
         chord = (left + right) / 2 * jnp.sinc(turn / (2 * jnp.pi))
         return State(
             position=state.position + chord * direction(state.heading + turn / 2),

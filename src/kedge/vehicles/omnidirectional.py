@@ -59,7 +59,7 @@ class Omnidirectional(AbstractVehicle[State, Control, Noise]):
     Inverse kinematics $\dot\varphi = J \nu$ with rows
     $J_i = \tfrac1r [-\sin\alpha_i, \cos\alpha_i, R]$ and the body's twist
     $\nu = [v_x, v_y, \omega]$; forward $\nu = J^+ \dot\varphi$ with the pseudoinverse. Then
-    $\theta' = \theta + \omega \Delta t$ and
+    $\theta' = \theta + (\omega - b_\omega) \Delta t$ and
     $p' = p + \mathrm{Rot}(\theta + \gamma \omega \Delta t)\, v \Delta t$, with
     $\gamma = 0, \tfrac12, 1$ by ``rule`` forward, midpoint or backward.
 
@@ -72,6 +72,7 @@ class Omnidirectional(AbstractVehicle[State, Control, Noise]):
 
     radius: Metres = 0.05
     arm: Metres = 0.20
+    yaw_rate_bias: YawRate = 0.0
     wheel_noise: WheelRateNoise = 0.014
     slip_noise: SpeedNoise = 0.01
     turn_noise: YawRateNoise = 0.0173
@@ -116,7 +117,7 @@ class Omnidirectional(AbstractVehicle[State, Control, Noise]):
 
     def step(self, state: State, control: Control, noise: Noise, dt: Scalar) -> State:
         twist = self.twist(control.wheels + noise.wheels)
-        turn = twist.yaw_rate * dt
+        turn = (twist.yaw_rate - self.yaw_rate_bias) * dt
         at = state.heading + RULES[self.rule] * turn
         if self.kinematics == "mirrored":
             at = -at

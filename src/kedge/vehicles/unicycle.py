@@ -33,20 +33,23 @@ class Control(NamedTuple):
 class Unicycle(AbstractVehicle[State, Control, Control]):
     r"""Noisy odometry on the plane.
 
-    $\dot p = (s_v v + w_v) [\cos\psi, \sin\psi]^\top$, $\dot\psi = s_\omega \omega + w_\omega$,
-    advanced along the exact chord of the arc. The scales can be estimated as augmented states.
+    $\dot p = (s_v v + w_v) [\cos\psi, \sin\psi]^\top$,
+    $\dot\psi = s_\omega (\omega - b_\omega) + w_\omega$, advanced along the exact chord of the
+    arc. Scales and the bias of a gyroscope can be estimated as augmented states.
 
     Source: S. Thrun, W. Burgard, D. Fox, "Probabilistic Robotics", 2005, section 5.3.
     """
 
     speed_scale: Ratio = 1.0
     yaw_rate_scale: Ratio = 1.0
+    yaw_rate_bias: YawRate = 0.0
     speed_noise: SpeedNoise = 0.1
     yaw_rate_noise: YawRateNoise = 0.02
 
     def step(self, state: State, control: Control, noise: Control, dt: Scalar) -> State:
         distance = (self.speed_scale * control.speed + noise.speed) * dt
-        turn = (self.yaw_rate_scale * control.yaw_rate + noise.yaw_rate) * dt
+        rate = self.yaw_rate_scale * (control.yaw_rate - self.yaw_rate_bias)
+        turn = (rate + noise.yaw_rate) * dt
         chord = distance * jnp.sinc(turn / (2 * jnp.pi))
         return State(
             position=state.position + chord * direction(state.heading + turn / 2),

@@ -1,0 +1,49 @@
+"""What a rig file says of how a vehicle moves: its model, augmented states and control."""
+
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
+
+from kedge.config.models import Parameter, model_errors
+from kedge.core.registry import vehicles
+from kedge.formats.inertial import Sampling
+from kedge.formats.toml import Strict
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0)]
+
+
+class AugmentedConfig(Strict):
+    """A slowly varying quantity that is estimated with the state."""
+
+    std: Positive
+    random_walk: Annotated[Finite, Field(ge=0)] = 0.0
+    time_constant: Positive | None = None
+
+
+class VehicleConfig(Strict):
+    """The motion model."""
+
+    model: str
+    parameters: dict[str, Parameter] = {}
+    augmented: dict[str, AugmentedConfig] = {}
+
+    def validation_errors(self) -> Iterator[str]:
+        """Unknown names."""
+        yield from model_errors(vehicles, self.model, self.parameters)
+
+
+class ControlConfig(Strict):
+    """Where the control comes from."""
+
+    source: str
+    columns: dict[str, str] = {}
+    sampling: Sampling = "previous"
+    counter: Annotated[Finite, Field(gt=1)] | None = None
+    """After how many counts a counter of ticks begins anew; 65536 of one with 16 bits."""
+
+    def validation_errors(self) -> Iterator[str]:
+        """A counter of what is not counted."""
+        if self.counter is not None and self.sampling != "counts":
+            yield f'counter: sampling is {self.sampling!r}; this key goes with "counts"'
