@@ -119,12 +119,12 @@ def main() -> None:
         rows.append(
             (
                 disagreement(log),
-                100 * raw.scores["final_error_of_distance"],
-                100 * known.scores["final_error_of_distance"],
+                100 * raw.scores.final_error_of_distance,
+                100 * known.scores.final_error_of_distance,
                 drift(begun, truth, options.first),
             )
         )
-        print(f"{name:6s}{raw.scores['distance']:7.0f}{_percents(rows[-1])}", flush=True)
+        print(f"{name:6s}{raw.scores.distance:7.0f}{_percents(rows[-1])}", flush=True)
     print(f"{'median':13s}{_percents(np.median(rows, axis=0))}")
 
 

@@ -10,14 +10,17 @@ import argparse
 
 from kedge import load_problem, run_filters, use_compilation_cache
 from kedge.datasets.fetch import require_located
+from kedge.evaluation.scores import FilterScores
 
 NAMES = ("dead-reckoning", "extended", "extended+smoother")
 
 
-def scores_of(folder: str, robot: int, rig: str, until: float | None) -> dict[str, dict]:
+def scores_of(
+    folder: str, robot: int, rig: str, until: float | None
+) -> dict[str, FilterScores]:
     """What each filter reaches on one robot's log."""
     problem = load_problem(rig, f"{folder}#{robot}", until=until)
-    runs = run_filters(problem, NAMES, seed=0, say=lambda text: None)
+    runs = run_filters(problem, NAMES, seed=0, progress=lambda text: None)
     return {run.name: run.scores for run in runs}
 
 
@@ -36,9 +39,9 @@ def main() -> None:
     print(f"{'robot':20s}" + "".join(f"{robot:9d}" for robot in rows) + f"{'mean':>9s}")
     for name in NAMES:
         for label, pick in (
-            ("position RMSE m", lambda s: s["rmse"]["position"]),
-            ("heading RMSE rad", lambda s: s["rmse"]["heading"]),
-            ("in 95 % bound", lambda s: s["coverage_95"]["position"]),
+            ("position RMSE m", lambda s: s.rmse["position"].value),
+            ("heading RMSE rad", lambda s: s.rmse["heading"].value),
+            ("in 95 % bound", lambda s: s.coverage_95["position"]),
         ):
             values = [pick(row[name]) for row in rows.values()]
             print(f"{label:20s}" + "".join(f"{v:9.3f}" for v in values), end="")

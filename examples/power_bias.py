@@ -58,7 +58,7 @@ def without_bias(problem: Problem, folder: Path, curve: PowerBias) -> Problem:
 def score(problem: Problem) -> str:
     """RMSE of the position, and the share of errors inside the 95 % bound."""
     (run,) = run_filters(problem, [problem.filter], 0, lambda text: None)
-    return f"{run.scores['rmse']['position']:8.3f}{run.scores['coverage_95']['position']:8.2f}"
+    return f"{run.scores.rmse['position']:8.3f}{run.scores.coverage_95['position']:8.2f}"
 
 
 def main() -> None:

@@ -62,8 +62,8 @@ def figures(problem: Problem, names: Sequence[str]) -> list[tuple[str, Any]]:
         rows.append(
             (
                 run.name,
-                f"{scores['rmse']['position']:9.3f}{np.nanmedian(distance):9.3f}"
-                f"{scores['coverage_95']['position']:9.2f}",
+                f"{scores.rmse['position']:9.3f}{np.nanmedian(distance):9.3f}"
+                f"{scores.coverage_95['position']:9.2f}",
             )
         )
     return rows

@@ -23,10 +23,10 @@ def test_a_study_finds_what_the_command_finds(buoy, request):
     command = request.getfixturevalue("kedge")
     code, printed, err = command("study", buoy, "--runs", 2, "--json")
     assert code == 0, err
-    assert done.summary["digest"] == json.loads(printed)["digest"]
+    assert done.summary.about.digest == json.loads(printed)["digest"]
     assert {len(leaf) for leaf in done.results["kalman"].runs} == {2}
     table = done.to_pandas()
-    assert table.loc["kalman", "score"] == done.scores["kalman"]["score"]
+    assert table.loc["kalman", "score"] == done.scores["kalman"].score.value
     assert "kalman" in done._repr_html_()
 
 

@@ -3,11 +3,15 @@
 import csv
 import json
 
+import jsonschema
 import numpy as np
 import pytest
 
 from kedge.apps.locate import Options, execute
+from kedge.apps.summaries import summary_schema
 from kedge.core.errors import ConfigError, DataError
+from kedge.evaluation.record import record
+from kedge.formats.results import plain
 
 ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 8.0, 2.5], [0.0, 8.0, 2.0]])
 RIG = """
@@ -69,9 +73,11 @@ def case(tmp_path):
 def test_fixes_with_their_accuracy(case):
     rig, log, out = case
     summary = execute(rig, log, out, Options(("gls", "ml"), report=False))
-    found = json.loads((out / "summary.json").read_text())["filters"]
-    assert found == summary["filters"]
-    assert any("1 ranges of anchors that are not on the map" in n for n in summary["notes"])
+    written = json.loads((out / "summary.json").read_text())
+    jsonschema.validate(written, summary_schema())
+    found = written["filters"]
+    assert found == plain(record(summary.filters))
+    assert any("1 ranges of anchors that are not on the map" in n for n in summary.about.notes)
     for name in ("gls", "ml"):
         assert found[name]["epochs"] == 60
         assert found[name]["fixes"] == 55

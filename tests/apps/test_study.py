@@ -8,6 +8,7 @@ import pytest
 from fixtures.studies import buoy_text
 from kedge.apps.study_output import score_names, summary_of
 from kedge.config.scenarios import load_scenario
+from kedge.evaluation.record import record
 from kedge.filters.gaussian.dead_reckoning import DeadReckoning
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.formats.results import flatten
@@ -159,5 +160,5 @@ def test_every_score_it_leaves_can_be_required(buoy):
     study = Study(setting.scenario, burn_in=1.0)
     filters = {"kalman": Kalman(), "dead-reckoning": DeadReckoning()}
     summary = summary_of(setting, study, run_study(study, filters, 2), 2)
-    left = {k for k, v in flatten(summary["filters"]) if not isinstance(v, str)}
+    left = {k for k, v in flatten(record(summary.filters)) if not isinstance(v, str)}
     assert set(score_names(setting, study, list(filters))) == left

@@ -8,6 +8,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.verdicts import Verdict
 from kedge.estimation.online import Estimator
 from kedge.estimation.rig import Installation, Rig
+from kedge.evaluation.scores import Silence
 from kedge.evaluation.silences import exceeded, sentences
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Gnss, Measurement
@@ -53,7 +54,7 @@ def test_stretches():
 
 
 def test_it_is_said():
-    found = {"dvl": {"allowed": 2.0, "stretches": [(4.0, 7.0)], "seconds": 3.0}}
+    found = {"dvl": Silence(2.0, ((4.0, 7.0),), 3.0)}
     (said,) = sentences("extended", found)
     assert said == (
         "extended: dvl was not heard for 5.0 s until 7.0 s, allowed are 2 s: the estimate is "

@@ -54,9 +54,9 @@ def test_an_injected_bias_is_named(gate):
 def test_honest_anchors_are_not():
     rig, (recording, _) = drive(0.001)
     run, _ = scored(rig, recording, 0.0)
-    targets = run.scores["sensors"]["radio"]["targets"]
+    targets = run.scores.sensors["radio"].targets
     assert list(targets) == list(NAMES)
-    assert sum(entry["readings"] for entry in targets.values()) == 600
+    assert sum(entry.readings for entry in targets.values()) == 600
     assert not targets_off(run.scores, units_of(rig))
-    spreads = [entry["range"]["spread"] for entry in targets.values()]
+    spreads = [entry.residuals["range"].spread for entry in targets.values()]
     np.testing.assert_allclose(spreads, 0.1, rtol=0.35)

@@ -1,6 +1,7 @@
 """Health: repairs, depletion and recoveries are counted and said, never silent."""
 
 import math
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from kedge.core.beliefs import Gaussian
+from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Readings, Recording, Schedule
 from kedge.estimation.rig import Installation, Rig
@@ -38,15 +40,15 @@ def run(filter, places, **given):
 
 
 def verdicts(estimates):
-    return np.asarray(estimates.outcome.verdict)
+    return Counter(Verdict(int(v)).name for v in np.asarray(estimates.outcome.verdict))
 
 
 def test_a_gaussian_that_stays_one_has_nothing_to_say():
     estimates = run(UnscentedKalman(), np.zeros((3, 2)))
     found = health(estimates)
-    assert (found["repairs"], found["recoveries"]) == (0, 0)
-    assert 0 < found["smallest_eigenvalue"] <= 1
-    assert "effective_size" not in found
+    assert (found.repairs, found.recoveries) == (0, 0)
+    assert 0 < found.smallest_eigenvalue <= 1
+    assert found.effective_size is None
     assert concerns("unscented", found, verdicts(estimates)) == []
 
 
@@ -55,9 +57,9 @@ def test_particles_that_explain_nothing_are_a_status():
     places = np.array([[1.0, 0.5], [1e200, 0.0], [3.0, 1.5], [1e4, 0.0]])
     estimates = run(BootstrapParticle(count=50), places)
     found = health(estimates)
-    assert found["depleted"] == 1
-    assert found["effective_size"]["min"] == 0
-    assert 0 < found["effective_size"]["median"] <= 50
+    assert found.depleted == 1
+    assert found.effective_size.min == 0
+    assert 0 < found.effective_size.median <= 50
     assert np.isfinite(estimates.moments.cov).all()
     left_out, luck = concerns("particle", found, verdicts(estimates))
     assert "no particle explained 1 of 4 readings" in left_out
@@ -67,7 +69,7 @@ def test_particles_that_explain_nothing_are_a_status():
 def test_a_recovery_is_counted():
     places = np.tile([500.0, 0.0], (8, 1))
     found = health(run(ExtendedKalman(), places, gate=0.01, recovery=4.0))
-    assert found["recoveries"] == 1
+    assert found.recoveries == 1
 
 
 @pytest.mark.parametrize(
@@ -97,7 +99,7 @@ def test_repairs_and_indefinite_covariances_are_said():
     outcome = outcome._replace(repairs=jnp.array([0, 3]))
     cov = jnp.broadcast_to(jnp.array([[1.0, 2.0], [2.0, 1.0]]), (2, 2, 2))
     estimates = Estimates(jnp.zeros(2), Gaussian(None, cov), outcome)
-    said = concerns("unscented", health(estimates), np.asarray(outcome.verdict))
+    said = concerns("unscented", health(estimates), {})
     assert "repaired 3 times" in said[0]
     assert "least eigenvalue of its correlations is -1.0e+00" in said[1]
     assert jax.tree.leaves(outcome)

@@ -3,6 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.record import record
 from kedge.studies.claims import TRUE
 
 pytestmark = pytest.mark.slow
@@ -10,7 +11,7 @@ pytestmark = pytest.mark.slow
 
 def study(filters, *changes):
     options = Options(filters=filters, changes=changes, chunk=100)
-    return execute("agv-lateral", options)
+    return record(execute("agv-lateral", options))
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.record import record
 from kedge.studies.claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
@@ -13,7 +14,7 @@ COUNTS = 20, 100, 500
 def rectangle():
     ensembles = [f"ensemble:count={count}" for count in COUNTS]
     names = ["kalman", "extended", "unscented", *ensembles, "etkf:count=100"]
-    return execute("agv-rectangle", Options(filters=",".join(names), chunk=50))
+    return record(execute("agv-rectangle", Options(filters=",".join(names), chunk=50)))
 
 
 def ratio(study, name):
@@ -42,12 +43,14 @@ def test_more_members_are_better_and_square_roots_better_still(rectangle):
 
 
 def test_matched_filters_are_consistent():
-    matched = execute("agv-matched", Options(filters="kalman", chunk=200))
+    matched = record(execute("agv-matched", Options(filters="kalman", chunk=200)))
     assert len(matched["expected"]) == 3
     assert not [band for band in matched["expected"] if band["verdict"] != TRUE]
 
 
 def test_corners():
-    corners = execute("agv-corners", Options(filters="kalman,ensemble:count=500", chunk=50))
+    corners = record(
+        execute("agv-corners", Options(filters="kalman,ensemble:count=500", chunk=50))
+    )
     assert [band["verdict"] for band in corners["expected"]] == [TRUE] * 4
     assert [claim["verdict"] for claim in corners["claims"]] == [TRUE, FALSE]

@@ -3,6 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.record import record
 from kedge.studies.claims import FALSE, OPEN, TRUE
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:fuzzy. the box")]
@@ -18,7 +19,7 @@ def verdicts(entries, filters):
 
 def test_a_wrong_start_is_forgotten_as_the_gains_say():
     filters = "raw,kinematic,kf-literal,kf,enkf-100"
-    found = execute("auv-turning", Options(filters=filters, runs=20))
+    found = record(execute("auv-turning", Options(filters=filters, runs=20)))
     assert verdicts(found["expected"], filters) == [TRUE] * 5
     # The fuzzy filter is left out here: it takes longer than all others together.
     assert [claim["verdict"] for claim in found["claims"]] == [OPEN, FALSE]
@@ -27,6 +28,6 @@ def test_a_wrong_start_is_forgotten_as_the_gains_say():
 def test_the_published_predictor_is_wrong_where_the_model_is_right():
     """P1d: to predict by the model is 10 times better than to count its forces twice."""
     filters = "raw,kf,fuzzy,extended,enkf-100"
-    found = execute("auv-dynamics", Options(filters=filters, runs=8))
+    found = record(execute("auv-dynamics", Options(filters=filters, runs=8)))
     assert verdicts(found["expected"], filters) == [TRUE] * 5
     assert [claim["verdict"] for claim in found["claims"]] == [TRUE, TRUE]

@@ -24,8 +24,8 @@ def test_calibration_on_other_runs_takes_half_of_the_error(data, monkeypatch):
         ("calibrated", "auv_akit_snapir", others, calibrated),
     ):
         runs = [run.scores for run, _ in example.reckoned(rig, logs, found)]
-        shares += [scores["final_error_of_distance"] for scores in runs]
-        inside[name] = [scores["coverage_95"]["position"] for scores in runs]
+        shares += [scores.final_error_of_distance for scores in runs]
+        inside[name] = [scores.coverage_95["position"] for scores in runs]
 
     assert 0.0025 < np.median(raw) < 0.004
     assert np.median(calibrated) < 0.003

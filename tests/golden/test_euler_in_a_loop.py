@@ -43,5 +43,5 @@ def test_the_lateral_velocity_suffers():
     vehicles = {"kalman": LinearLateralTracking(**gusts), "euler": Euler(**gusts)}
     study = Study(scenario, burn_in=3.0, start="truth", vehicles=vehicles)
     results = run_study(study, dict.fromkeys(vehicles, Kalman()), 100, chunk=100)
-    found = summarise_study(study, results)["euler"]["all_steps"]["ratios"]
-    assert found["lateral_velocity"] - 1 == pytest.approx(ratio - 1, rel=0.1)
+    found = summarise_study(study, results)["euler"].all_steps.ratios
+    assert found["lateral_velocity"].value - 1 == pytest.approx(ratio - 1, rel=0.1)

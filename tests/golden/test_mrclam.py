@@ -6,6 +6,7 @@ import pytest
 from kedge.apps.workflow import run_filters
 from kedge.config.problem import load_problem
 from kedge.datasets.fetch import locate
+from kedge.evaluation.record import record
 
 NAMES = ("extended", "extended+smoother")
 
@@ -20,7 +21,7 @@ def scores(data):
         runs = run_filters(
             load_problem("mrclam", f"{folder}#{robot}"), NAMES, 0, lambda _: None
         )
-        found[robot] = {run.name: run.scores for run in runs}
+        found[robot] = {run.name: record(run.scores) for run in runs}
     return found
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.record import record
 from kedge.studies.claims import OPEN, TRUE
 
 pytestmark = pytest.mark.slow
@@ -10,7 +11,7 @@ pytestmark = pytest.mark.slow
 
 def study(name, filters, *changes):
     options = Options(filters=filters, changes=changes, chunk=50)
-    return execute(f"omni-{name}", options)
+    return record(execute(f"omni-{name}", options))
 
 
 def error(name, *changes):

@@ -27,7 +27,7 @@ def run(rig, log, *names, until=None, **changes):
 
 
 def rmse(found):
-    return found.scores["rmse"]["position"]
+    return found.scores.rmse["position"].value
 
 
 def last(found, field):
@@ -44,7 +44,7 @@ def test_plaza_without_ground_truth(mower):
     assert 1.8 <= rmse(blind) <= 2.1
     assert rmse(gated) <= 0.40
     assert rmse(smoothed) <= 0.30
-    assert gated.scores["coverage_95"]["position"] >= 0.9
+    assert gated.scores.coverage_95["position"] >= 0.9
 
 
 def test_plaza_finds_the_scale_of_its_radios(mower):
@@ -119,11 +119,11 @@ def test_hanyang_is_no_worse_than_the_authors_filter(data, part):
 
 def test_isas_walk(data):
     (found,) = run("isas_walk", data / "isas_walk/walk1.bag")
-    assert found.scores["ape"]["rigid"]["rmse"] <= 0.21
-    assert rmse(found) == pytest.approx(found.scores["ape"]["rigid"]["rmse"], rel=1e-3)
+    assert found.scores.ape["rigid"].rmse <= 0.21
+    assert rmse(found) == pytest.approx(found.scores.ape["rigid"].rmse, rel=1e-3)
 
 
 def test_starloc(data):
     (found,) = run("starloc", data / "starloc/loop-2d-fast_s1")
     assert 0.9 * 0.145 <= rmse(found) <= 1.1 * 0.145
-    assert found.scores["coverage_95"]["position"] >= 0.85
+    assert found.scores.coverage_95["position"] >= 0.85

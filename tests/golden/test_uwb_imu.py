@@ -5,6 +5,7 @@ import pytest
 
 from kedge.apps.study import Options, execute
 from kedge.evaluation.consistency import chi_square_interval
+from kedge.evaluation.record import record
 from kedge.studies.claims import FALSE, OPEN, TRUE
 
 pytestmark = pytest.mark.slow
@@ -18,7 +19,7 @@ def position(study, filter="extended"):
 
 @pytest.fixture(scope="module")
 def squared():
-    return execute("uwb-imu", Options(filters="extended,dead-reckoning", chunk=220))
+    return record(execute("uwb-imu", Options(filters="extended,dead-reckoning", chunk=220)))
 
 
 def test_expected_figures(squared):
@@ -33,7 +34,7 @@ def test_the_covariance_is_that_of_the_errors(squared):
 
 
 def test_weights_like_the_papers_give_its_column():
-    mistuned = execute("uwb-imu-mistuned", Options(chunk=220))
+    mistuned = record(execute("uwb-imu-mistuned", Options(chunk=220)))
     assert [band["verdict"] for band in mistuned["expected"]] == [TRUE] * 8
     # Row 200 lies within a sixth of the paper's, and its interval reaches beyond.
     assert [claim["verdict"] for claim in mistuned["claims"]] == [OPEN]
@@ -41,13 +42,13 @@ def test_weights_like_the_papers_give_its_column():
 
 def test_plain_ranges_are_as_good_as_squared_ones(squared):
     changes = ['sensors.uwb.model="ranges"']
-    plain = execute("uwb-imu", Options(filters="extended", chunk=220, changes=changes))
+    plain = record(execute("uwb-imu", Options(filters="extended", chunk=220, changes=changes)))
     assert position(plain) == pytest.approx(position(squared), rel=0.05)
 
 
 def test_an_imu_as_it_is_sold():
     """One drive: UWB alone, with wheels, two of four anchors blocked, a minute without any."""
-    found = execute("uwb-imu-agv", Options(filters="extended", runs=16, chunk=16))
+    found = record(execute("uwb-imu-agv", Options(filters="extended", runs=16, chunk=16)))
     assert [band["verdict"] for band in found["expected"]] == [TRUE] * 4
     scores = found["filters"]["extended"]
     lower, upper = chi_square_interval(scores["nees_dof"], scores["runs"])

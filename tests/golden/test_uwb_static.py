@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from kedge.apps.study import Options, execute
+from kedge.evaluation.record import record
 from kedge.studies.claims import FALSE, TRUE
 
 pytestmark = pytest.mark.slow
@@ -13,7 +14,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def study(name, filters, runs):
-    return execute(name, Options(filters=",".join(filters), runs=runs, chunk=runs))
+    return record(execute(name, Options(filters=",".join(filters), runs=runs, chunk=runs)))
 
 
 def test_the_room_with_two_blocked_anchors():

@@ -12,6 +12,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Truth
 from kedge.evaluation import score
 from kedge.evaluation.score import Run, Track, errors_of, longest_gap
+from kedge.evaluation.scores import FilterScores, HealthScores
 from kedge.reports import spatial
 
 pytest.importorskip("matplotlib")
@@ -35,20 +36,21 @@ def run(name="extended"):
     track = Track(TIME, None, mean, np.tile(0.01 * np.eye(6), (len(TIME), 1, 1)))
     outcome = SimpleNamespace(verdict=np.full(len(TIME), Verdict.FUSED))
     errors = errors_of(track, truth)
-    scores = score._accuracy(errors) | score._path_scores(track, truth)
-    score._add_spatial(scores, track, truth, errors)
+    blank = FilterScores(sensors={}, health=HealthScores(0, 0), std={}, singular=0.0)
+    others = score._spatial_errors(track, truth, errors)
+    scores = score._with_path(score._with_errors(blank, errors, others), track, truth)
     return Run(name, SimpleNamespace(time=TIME, outcome=outcome), track, errors, scores), truth
 
 
 def test_scores_in_plan_of_heading_and_by_distance():
     found = run()[0].scores
-    np.testing.assert_allclose(found["rmse"]["horizontal"], 0.5)
-    np.testing.assert_allclose(found["rmse"]["position"], 1.3)
-    np.testing.assert_allclose(found["rmse"]["position_z"], 1.2)
-    np.testing.assert_allclose(found["rmse"]["heading"], TURN)
-    assert found["rpe"]["10_m"]["rmse"] > 0  # the motion is turned by the wrong heading
+    np.testing.assert_allclose(found.rmse["horizontal"].value, 0.5)
+    np.testing.assert_allclose(found.rmse["position"].value, 1.3)
+    np.testing.assert_allclose(found.rmse["position_z"].value, 1.2)
+    np.testing.assert_allclose(found.rmse["heading"].value, TURN)
+    assert found.rpe["10_m"].rmse > 0  # the motion is turned by the wrong heading
     share = 1.3 / (SPEED * TIME[-1])
-    np.testing.assert_allclose(found["final_error_of_distance"], share, rtol=1e-3)
+    np.testing.assert_allclose(found.final_error_of_distance, share, rtol=1e-3)
 
 
 def test_truth_that_comes_rarely_is_truth_all_the_same():

@@ -1,6 +1,7 @@
 """The report of a study, and what its figures are made of."""
 
 import re
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -73,7 +74,9 @@ def study_content(setting, runs, chunk=16):
     results = tally.results()
     for place, name in enumerate(results):  # the same in every run of this test
         results[name] = results[name]._replace(seconds=0.1 * (place + 1), compile_seconds=1.0)
-    summary = summary_of(setting, study, results, runs) | {"arguments": ["study", "buoy"]}
+    summary = summary_of(setting, study, results, runs)
+    about = replace(summary.about, arguments=("study", "buoy"))
+    summary = replace(summary, about=about)
     return content_of(study, tally, summary)
 
 
@@ -125,15 +128,15 @@ def test_each_section_is_there(page):
 
 
 def test_every_score_claim_and_source_is_on_the_page(said, buoy):
-    for name, scores in buoy.summary["filters"].items():
+    for name, scores in buoy.summary.filters.items():
         assert name in said
-        assert style.measured(scores["score"], scores["score_ci"])[0] in said, name
-    assert [claim["verdict"] for claim in buoy.summary["claims"]] == ["false"]
-    missed = [one["score"] for one in buoy.summary["expected"] if one["verdict"] == "false"]
+        assert style.measured(scores.score.value, scores.score[1:])[0] in said, name
+    assert [claim.verdict for claim in buoy.summary.claims] == ["false"]
+    missed = [one.score for one in buoy.summary.expected if one.verdict == "false"]
     assert missed == ["kalman.rmse.position"]
-    claim = buoy.summary["claims"][0]
-    for words in (claim["text"], claim["means"], claim["verdict"], *missed, "corner", "0.489 m",
-                  "Table 3", buoy.summary["digest"]["result"]):  # fmt: skip
+    claim = buoy.summary.claims[0]
+    for words in (claim.text, claim.means, claim.verdict, *missed, "corner", "0.489 m",
+                  "Table 3", buoy.summary.about.digest["result"]):  # fmt: skip
         assert words in said
 
 

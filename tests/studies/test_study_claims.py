@@ -111,9 +111,9 @@ def test_verdicts_say_why(evidence):
 
 
 def test_bands(evidence):
-    value = evidence.filters["kalman"]["score"]
-    low, high = evidence.filters["kalman"]["score_ci"]
-    assert judge_band("kalman.score", 0.9 * value, 1.1 * value, evidence).verdict == TRUE
-    assert judge_band("kalman.score", (value + high) / 2, 2.0, evidence).verdict == OPEN
-    assert judge_band("kalman.score", 1.1 * high, 2 * high, evidence).verdict == FALSE
-    assert judge_band("kalman.score", 0.0, 0.9 * low, evidence).verdict == FALSE
+    value = evidence.filters["kalman"].score.value
+    _, low, high = evidence.filters["kalman"].score
+    assert judge_band("kalman.score", [0.9 * value, 1.1 * value], evidence).verdict == TRUE
+    assert judge_band("kalman.score", [(value + high) / 2, 2.0], evidence).verdict == OPEN
+    assert judge_band("kalman.score", [1.1 * high, 2 * high], evidence).verdict == FALSE
+    assert judge_band("kalman.score", [0.0, 0.9 * low], evidence).verdict == FALSE

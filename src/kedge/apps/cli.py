@@ -4,13 +4,12 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import typer
 
 from kedge import __version__
 from kedge.apps.console import (
-    Conditions,
     Interrupted,
     ThresholdMissed,
     check_requirements,
@@ -18,6 +17,7 @@ from kedge.apps.console import (
     interruptions,
     parse_requirements,
     plain_warnings,
+    print_filters,
     print_json,
     require,
 )
@@ -92,7 +92,7 @@ def estimate(
     names = [name, f"{name}+smoother"] if smooth else [name]
     check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
     summary = execute(problem, names, out, "estimate", seed, report)
-    finish(summary, out, conditions, as_json)
+    finish(summary, out, conditions, as_json, print_filters)
 
 
 @app.command()
@@ -119,7 +119,7 @@ def compare(
     problem = load(rig, log, truth, until, set_)
     check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
     summary = execute(problem, names, out, "compare", seed, report)
-    finish(summary, out, conditions, as_json)
+    finish(summary, out, conditions, as_json, print_filters)
 
 
 @app.command()
@@ -189,6 +189,8 @@ def study(
 ) -> None:
     """Several filters over the same simulated runs, beside published scores."""
     from kedge.apps.study import Options, execute
+    from kedge.apps.study_output import print_study
+    from kedge.studies.figures_of_merit import StudySummary
 
     conditions = parse_requirements(require_ or [])
     options = Options(
@@ -196,12 +198,12 @@ def study(
         resume=resume, force=force, report=report, require=conditions,
     )  # fmt: skip
     summary = execute(scenario, options)
-    if shard is None:
-        _finish_study(summary, out, conditions, as_json)
+    if isinstance(summary, StudySummary):
+        finish(summary, out, conditions, as_json, print_study)
     elif as_json:
         print_json(summary)
     else:
-        print(f"shard {shard}: {len(summary['chunks'])} of {summary['of']} chunks in {out}")
+        print(f"shard {shard}: {len(summary.chunks)} of {summary.of} chunks in {out}")
 
 
 @app.command()
@@ -216,9 +218,11 @@ def merge(
 ) -> None:
     """Put the shards of a study together."""
     from kedge.apps.study import merge as merge_shards
+    from kedge.apps.study_output import print_study
 
     conditions = parse_requirements(require_ or [])
-    _finish_study(merge_shards(shards, out, resume, force, report), out, conditions, as_json)
+    summary = merge_shards(shards, out, resume, force, report)
+    finish(summary, out, conditions, as_json, print_study)
 
 
 @app.command()
@@ -303,7 +307,7 @@ def demo(
     from kedge.apps.workflow import execute
 
     problem = demo_problem(until)
-    finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json)
+    finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json, print_filters)
 
 
 @datasets_app.command("list")
@@ -339,11 +343,20 @@ def datasets_path(name: str) -> None:
 
 
 @config_app.command("schema")
-def config_schema() -> None:
-    """Print the JSON schema of a rig file."""
-    from kedge.config.rigs import rig_schema
+def config_schema(
+    of: Annotated[
+        Literal["rig", "summary"], typer.Argument(help="A rig file, or a summary.json.")
+    ] = "rig",
+) -> None:
+    """Print a JSON schema: of rig files, or of what the commands leave as summary.json."""
+    if of == "rig":
+        from kedge.config.rigs import rig_schema
 
-    print_json(rig_schema())
+        print_json(rig_schema())
+    else:
+        from kedge.apps.summaries import summary_schema
+
+        print_json(summary_schema())
 
 
 @app.callback(invoke_without_command=True)
@@ -357,14 +370,6 @@ def _root(
     if version:
         print(__version__)
         raise typer.Exit
-
-
-def _finish_study(
-    summary: dict[str, Any], out: Path | None, conditions: Conditions, as_json: bool
-) -> None:
-    from kedge.apps.study_output import print_study
-
-    finish(summary, out, conditions, as_json, print_study)
 
 
 def main() -> None:

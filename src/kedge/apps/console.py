@@ -1,7 +1,9 @@
 """What commands say: data on standard output, progress and errors on standard error."""
 
 import contextlib
+import itertools
 import json
+import math
 import re
 import signal
 import sys
@@ -9,13 +11,32 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 from kedge.core.errors import ConfigError, KedgeError
 from kedge.core.registry import unknown
 
+if TYPE_CHECKING:
+    from kedge.evaluation.scores import FilterScores, LogSummary, Provenance
+else:
+    FilterScores = LogSummary = Provenance = Any
+
 Conditions = Sequence[tuple[str, str, float]]
 """Name of a score, relation, bound."""
+
+
+@runtime_checkable
+class Summary(Protocol):
+    """What each command leaves as ``summary.json``."""
+
+    @property
+    def about(self) -> Provenance: ...
+
+    @property
+    def filters(self) -> Mapping[str, Any]: ...
+
+
+S = TypeVar("S", bound=Summary)
 
 
 class ThresholdMissed(KedgeError):
@@ -87,98 +108,102 @@ def plain_warnings() -> Iterator[None]:
 
 
 def print_json(value: Any) -> None:
-    """Machine-readable output."""
+    """Machine-readable output, of a summary or of what JSON takes as it is."""
+    from kedge.evaluation.record import record
     from kedge.formats.results import plain
 
-    print(json.dumps(plain(value), indent=2, allow_nan=False))
+    print(json.dumps(plain(record(value)), indent=2, allow_nan=False))
 
 
-def print_filters(filters: Mapping[str, Mapping[str, Any]]) -> None:
-    """The table of filters, digits only as far as they say something."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, header_style="bold", pad_edge=False)
+def print_filters(summary: LogSummary) -> None:
+    """The table of filters, digits only as far as they are known; without truth, of sensors."""
+    filters = summary.filters
     columns = _columns(filters)
-    table.add_column("filter")
-    for title in columns:
-        table.add_column(title, justify="right")
-    for name, scores in filters.items():
-        table.add_row(name, *(show(scores) for show in columns.values()))
-    # A pipe has no width; a table squeezed into 80 columns would lose its numbers.
-    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
-    if not any("rmse" in scores for scores in filters.values()):
+    rows = [[name, *(show(row) for show in columns.values())] for name, row in filters.items()]
+    print_table(["filter", *columns], rows)
+    if not any(row.rmse for row in filters.values()):
         print()
         print_sensors(filters)
 
 
-def print_sensors(filters: Mapping[str, Mapping[str, Any]]) -> None:
+def print_sensors(filters: Mapping[str, FilterScores]) -> None:
     """The table of sensors by filter: what was used of each, and whether NIS is right."""
-    from rich.console import Console
-    from rich.table import Table
-
     from kedge.reports.findings import refusals
     from kedge.reports.style import is_baseline, is_smoother
 
+    head = ["filter", "sensor", "readings", "fused", "NIS", "right is", "refused"]
+    rows = [
+        [name, sensor, str(entry.readings), _shown(entry.fused, ".1%"), _shown(entry.nis),
+         _shown(entry.nis_dof), refusals(entry.verdicts)]
+        for name, scores in filters.items()
+        if not is_baseline(name) and not is_smoother(name)
+        for sensor, entry in scores.sensors.items()
+    ]  # fmt: skip
+    print_table(head, rows, "llrrrrl")
+
+
+def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], sides: str = "l") -> None:
+    """A table; ``sides`` has an l or r for each column, r for those it does not have."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for title in ("filter", "sensor"):
-        table.add_column(title)
-    for title in ("readings", "fused", "NIS", "right is"):
-        table.add_column(title, justify="right")
-    table.add_column("refused")
-    for name, scores in filters.items():
-        if is_baseline(name) or is_smoother(name):
-            continue
-        for sensor, entry in scores["sensors"].items():
-            nis = [f"{entry[key]:.3g}" for key in ("nis", "nis_dof") if key in entry]
-            used = f"{entry['fused']:.1%}" if "fused" in entry else "-"
-            refused = refusals(entry["verdicts"])
-            table.add_row(name, sensor, str(entry["readings"]), used, *(nis or "--"), refused)
+    for title, side in itertools.zip_longest(head, sides, fillvalue="r"):
+        table.add_column(title, justify="left" if side == "l" else "right")
+    for row in rows:
+        table.add_row(*row)
+    # A pipe has no width; a table squeezed into 80 columns would lose its numbers.
     Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
 
 
-def _columns(filters: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[Any], str]]:
-    def pick(*path: str, form: str = ".3g", scale: float = 1.0) -> Callable[[Any], str]:
-        def show(scores: Any) -> str:
-            for key in path:
-                scores = scores.get(key, {}) if isinstance(scores, Mapping) else {}
-            return format(scores * scale, form) if isinstance(scores, (int, float)) else "-"
+def _columns(filters: Mapping[str, FilterScores]) -> dict[str, Callable[[FilterScores], str]]:
+    """What there is to show of the filters, by title."""
 
-        return show
+    def error(name: str, scale: float = 1.0) -> Callable[[FilterScores], str]:
+        return lambda row: _shown(row.rmse[name].value * scale) if name in row.rmse else "-"
 
-    def interval(scores: Any) -> str:
-        ends = scores.get("rmse_ci", {}).get("position")
-        return f"[{ends[0]:.2g}, {ends[1]:.2g}]" if ends else "-"
+    def believed(name: str, scale: float = 1.0) -> Callable[[FilterScores], str]:
+        return lambda row: _shown(row.std[name] * scale) if name in row.std else "-"
 
-    judged = any("rmse" in row for row in filters.values())
-    believed = {} if judged else {
-        "position 1-sigma m": pick("std", "position"),
-        "heading 1-sigma deg": pick("std", "heading", scale=57.29577951308232),
-    }  # fmt: skip
-    known = believed | {
-        "position m": pick("rmse", "position"),
+    def interval(row: FilterScores) -> str:
+        position = row.rmse.get("position")
+        return f"[{position.lower:.2g}, {position.upper:.2g}]" if position else "-"
+
+    degrees = math.degrees(1.0)
+    columns = {
+        "position m": error("position"),
         "95 % interval": interval,
-        "in plan m": pick("rmse", "horizontal"),
-        "heading deg": pick("rmse", "heading", scale=57.29577951308232),
-        "velocity m/s": pick("rmse", "velocity"),
-        "x baseline": pick("ratio_to_baseline"),
+        "in plan m": error("horizontal"),
+        "heading deg": error("heading", degrees),
+        "velocity m/s": error("velocity"),
+        "x baseline": lambda row: _shown(row.ratio_to_baseline),
         "NEES/dof": _nees,
-        "in 95 % bound": pick("coverage_95", "position", form=".0%"),
+        "in 95 % bound": lambda row: _shown(row.coverage_95.get("position"), ".0%"),
         "final error": _final,
-        "us/event": pick("microseconds_per_event", form=".1f"),
+        "us/event": lambda row: _shown(row.microseconds_per_event, ".1f"),
     }
+    if not any(row.rmse for row in filters.values()):
+        columns = {
+            "position 1-sigma m": believed("position"),
+            "heading 1-sigma deg": believed("heading", degrees),
+        } | columns
     rows = list(filters.values())
-    return {t: show for t, show in known.items() if any(show(row) != "-" for row in rows)}
+    return {t: show for t, show in columns.items() if any(show(row) != "-" for row in rows)}
 
 
-def _nees(scores: Mapping[str, Any]) -> str:
-    dof = scores.get("nees_dof")
-    return f"{scores['nees'] / dof:.3g}" if dof else "-"
+def _nees(scores: FilterScores) -> str:
+    if scores.nees is None or not scores.nees_dof:
+        return "-"
+    return "singular" if math.isnan(scores.nees) else _shown(scores.nees / scores.nees_dof)
 
 
-def _final(scores: Mapping[str, Any]) -> str:
-    driven = scores.get("distance")
-    return f"{scores['final_error'] / driven:.2%} of path" if driven else "-"
+def _final(scores: FilterScores) -> str:
+    share = scores.final_error_of_distance
+    return "-" if share is None else f"{share:.2%} of path"
+
+
+def _shown(value: float | None, form: str = ".3g") -> str:
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 WARNINGS = "warnings"
@@ -233,19 +258,17 @@ def check_requirements(
             raise ConfigError(f"--require: {unknown('score', name, list(scores))}")
 
 
-def require(
-    filters: Mapping[str, Any], conditions: Conditions, warnings: Sequence[str] = ()
-) -> None:
+def require(filters: Any, conditions: Conditions, warnings: Sequence[str] = ()) -> None:
     """Check conditions against the scores, and against the number of warnings.
 
     Raises:
         ConfigError: there is no such score.
         ThresholdMissed: a condition does not hold.
     """
-    from kedge.formats.results import flatten
+    from kedge.evaluation.record import by_name
     from kedge.reports.style import is_baseline
 
-    scores = {k: v for k, v in flatten(filters) if isinstance(v, (int, float))}
+    scores = {name: score.value for name, score in by_name(filters).items()}
     scores[WARNINGS] = len(warnings)
     for name, relation, bound in conditions:
         if name in scores:
@@ -265,11 +288,11 @@ def require(
 
 
 def finish(
-    summary: dict[str, Any],
+    summary: S,
     out: Path | None,
     conditions: Conditions,
     as_json: bool,
-    show: Callable[[dict[str, Any]], None] = lambda summary: print_filters(summary["filters"]),
+    show: Callable[[S], None],
 ) -> None:
     """Print what a command computed, where it is, and its warnings; then what is required.
 
@@ -283,6 +306,7 @@ def finish(
         if out is not None:
             shown = "report.html" if (out / "report.html").exists() else "summary.json"
             print(f"\nresults: {out / shown}", flush=True)
-    for text in summary["warnings"]:
+    warnings = summary.about.warnings
+    for text in warnings:
         print(f"kedge: warning: {text}", file=sys.stderr)
-    require(summary["filters"], conditions, summary["warnings"])
+    require(summary.filters, conditions, warnings)

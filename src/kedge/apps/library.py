@@ -14,10 +14,12 @@ from kedge.core.errors import DataError
 from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
 from kedge.estimation.views import pandas_module
+from kedge.evaluation.record import by_name
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.formats.results_folder import results_folder
 from kedge.reports.study_report import write_study_report
 from kedge.studies.engines import study_of
+from kedge.studies.figures_of_merit import StudyScores, StudySummary
 from kedge.studies.scores import Result, Tally
 from kedge.studies.study import Study, Trials
 from kedge.tuning.tunable import choose
@@ -36,18 +38,18 @@ def _quiet(text: str) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class StudyResults:
-    """What a study found, by filter."""
+    """What a study came to, by filter."""
 
     setting: Setting
     study: Study
     tally: Tally
-    summary: Mapping[str, Any]
-    """As in ``summary.json``: ``kedge config schema summary`` describes it."""
+    summary: StudySummary
+    """What ``summary.json`` is written from: ``kedge config schema summary`` describes it."""
 
     @property
-    def scores(self) -> Mapping[str, Mapping[str, Any]]:
-        """The scores of each filter, as in ``summary.json``."""
-        return self.summary["filters"]
+    def scores(self) -> Mapping[str, StudyScores]:
+        """The scores of each filter."""
+        return self.summary.filters
 
     @property
     def results(self) -> Mapping[str, Result]:
@@ -61,7 +63,7 @@ class StudyResults:
             KedgeError: pandas is not installed.
         """
         rows = {
-            name: {key: value for key, value in row.items() if isinstance(value, int | float)}
+            name: {key: score.value for key, score in by_name(row).items() if "." not in key}
             for name, row in self.scores.items()
         }
         return pandas_module().DataFrame.from_dict(rows, orient="index").rename_axis("filter")

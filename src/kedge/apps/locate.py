@@ -1,7 +1,7 @@
 """The work behind ``kedge locate``: a fix for every epoch of ranges in a log."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kedge import __version__
-from kedge.apps.console import console_progress
+from kedge.apps.console import console_progress, print_table
 from kedge.apps.output import file_name
+from kedge.apps.summaries import provenance
 from kedge.apps.workflow import load
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem
@@ -21,14 +22,16 @@ from kedge.core.manifolds import charts_of
 from kedge.core.registry import unknown
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import SECOND
+from kedge.evaluation.fixes import FixScores, LocateSummary, score_fixes
+from kedge.evaluation.record import record
 from kedge.evaluation.score import truth_at
-from kedge.formats.results import as_toml, digest, plain, write_csv, write_summary, write_table
+from kedge.formats.results import as_toml, digest, write_csv, write_summary, write_table
 from kedge.formats.results_folder import results_folder
 from kedge.positioning.epochs import Epochs, epochs_of
 from kedge.positioning.fix import Fix, Status
 from kedge.positioning.links import Links
 from kedge.positioning.solver import solve_all
-from kedge.reports.fixes import plot_fixes, plot_residuals, residual_rows, score_fixes
+from kedge.reports.fixes import plot_fixes, plot_residuals, residual_rows
 from kedge.reports.page import Front, Plate, write_page
 
 
@@ -53,7 +56,7 @@ class Heard(NamedTuple):
     names: tuple[str, ...]
 
 
-def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
+def execute(rig: str, log: str, out: Path, options: Options) -> LocateSummary:
     """Solve, score, write the folder; return the summary.
 
     Raises:
@@ -75,34 +78,25 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
             progress(f"{name}: {len(heard.time)} epochs")
             fixes[name] = jax.tree.map(np.asarray, solve_all(solver, heard.links, position))
             scores[name] = score_fixes(fixes[name], truth, known)
-            write_csv(
-                folder / f"fixes_{file_name(name)}.csv", columns_of(problem, heard, fixes[name])
-            )
-        summary = {
-            "command": "locate",
-            "arguments": sys.argv[1:],
-            "version": __version__,
-            "title": problem.title,
-            "runs": 1,
-            "anchors": list(heard.names),
-            "epochs": len(heard.time),
-            "window": options.window,
-            "filters": scores,
-            "notes": list(problem.notes),
-            "warnings": [],
-            "configuration": problem.config,
-            "digest": {
-                "inputs": problem.inputs_digest,
-                "result": digest(*(np.asarray(leaf) for leaf in jax.tree.leaves(fixes))),
-            },
-        }
-        write_summary(folder / "summary.json", summary)
-        write_table(folder / "table.csv", scores)
+            stem = f"fixes_{file_name(name)}.csv"
+            write_csv(folder / stem, columns_of(problem, heard, fixes[name]))
+        result = digest(*(np.asarray(leaf) for leaf in jax.tree.leaves(fixes)))
+        about = provenance(
+            "locate",
+            problem.title,
+            problem.config,
+            {"inputs": problem.inputs_digest, "result": result},
+            notes=problem.notes,
+        )
+        epochs = len(heard.time)
+        summary = LocateSummary(about, heard.names, epochs, options.window, scores)
+        write_summary(folder / "summary.json", record(summary))
+        write_table(folder / "table.csv", record(scores))
         if options.report:
             progress("drawing the report")
             shown = None if truth is None or known is None else truth[known]
             _report(folder, problem, heard, fixes, scores, shown)
-    return plain(summary)
+    return summary
 
 
 def epochs_in(problem: Problem, sensor: str | None, window: float) -> Heard:
@@ -192,10 +186,10 @@ def _report(
     problem: Problem,
     heard: Heard,
     fixes: dict[str, Fix],
-    scores: dict[str, Any],
+    scores: dict[str, FixScores],
     truth: np.ndarray | None,
 ) -> None:
-    judged = {name: row["rmse"]["position"] for name, row in scores.items() if "rmse" in row}
+    judged = {name: row.rmse["position"] for name, row in scores.items() if row.rmse}
     best = min(judged, key=lambda name: judged[name]) if judged else list(scores)[-1]
     headline = f"{len(heard.time)} epochs of up to {len(heard.names)} ranges."
     if judged:
@@ -223,47 +217,39 @@ def _report(
     )  # fmt: skip
 
 
-COLUMNS = {
-    "RMSE, m": ("rmse", "position"),
-    "median, m": ("median",),
-    "95 %, m": ("p95",),
-    "NEES": ("nees",),
-    "fixes": ("fixes",),
-    "ambiguous": ("ambiguous",),
-    "too few": ("too_few",),
-    "redundancy": ("redundancy",),
-    "DOP": ("pdop",),
-    "bound, m": ("crlb",),
+COLUMNS: dict[str, Callable[[FixScores], float | None]] = {
+    "RMSE, m": lambda row: row.rmse.get("position"),
+    "median, m": lambda row: row.median,
+    "95 %, m": lambda row: row.p95,
+    "NEES": lambda row: row.nees,
+    "fixes": lambda row: row.fixes,
+    "ambiguous": lambda row: row.ambiguous,
+    "too few": lambda row: row.too_few,
+    "redundancy": lambda row: row.redundancy,
+    "DOP": lambda row: row.pdop,
+    "bound, m": lambda row: row.crlb,
 }
 
 
-def solver_table(scores: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+def solver_table(scores: Mapping[str, FixScores]) -> tuple[list[str], list[list[str]]]:
     """The scores by solver, as text; columns that nobody has are left out."""
 
-    def cell(row: Any, path: tuple[str, ...]) -> str:
-        for key in path:
-            row = row.get(key, {}) if isinstance(row, dict) else {}
-        if isinstance(row, int):
-            return f"{row}"
-        return f"{row:.3g}" if isinstance(row, float) and np.isfinite(row) else "-"
+    def cell(value: float | None) -> str:
+        if value is None or not np.isfinite(value):
+            return "-"
+        return f"{value}" if isinstance(value, int) else f"{value:.3g}"
 
-    rows = {
-        name: [cell(row, path) for path in COLUMNS.values()] for name, row in scores.items()
+    columns = {
+        title: [cell(of(row)) for row in scores.values()] for title, of in COLUMNS.items()
     }
-    kept = [i for i in range(len(COLUMNS)) if any(row[i] != "-" for row in rows.values())]
-    head = ["solver", *(list(COLUMNS)[i] for i in kept)]
-    return head, [[name, *(row[i] for i in kept)] for name, row in rows.items()]
+    columns = {title: cells for title, cells in columns.items() if set(cells) != {"-"}}
+    rows = [
+        [name, *row]
+        for name, row in zip(scores, zip(*columns.values(), strict=True), strict=True)
+    ]
+    return ["solver", *columns], rows
 
 
-def print_fixes(summary: dict[str, Any]) -> None:
+def print_fixes(summary: LocateSummary) -> None:
     """The table of solvers."""
-    from rich.console import Console
-    from rich.table import Table
-
-    head, rows = solver_table(summary["filters"])
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for place, title in enumerate(head):
-        table.add_column(title, justify="right" if place else "left")
-    for row in rows:
-        table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
+    print_table(*solver_table(summary.filters))

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 from kedge.config.problem import Problem
 from kedge.core.manifolds import space_of
+from kedge.evaluation.record import record
 from kedge.evaluation.score import Run
+from kedge.evaluation.scores import LogSummary
 from kedge.formats.results import (
     digest,
     write_estimate,
@@ -21,11 +22,11 @@ from kedge.formats.tum import write_tum
 
 
 def write_results(
-    folder: Path, problem: Problem, runs: Sequence[Run], summary: dict[str, Any]
+    folder: Path, problem: Problem, runs: Sequence[Run], summary: LogSummary
 ) -> None:
     """Summary, table, trajectories and verdicts."""
-    write_summary(folder / "summary.json", summary)
-    write_table(folder / "table.csv", {run.name: run.scores for run in runs})
+    write_summary(folder / "summary.json", record(summary))
+    write_table(folder / "table.csv", record(summary.filters))
     for run in runs:
         suffix = "" if len(runs) == 1 else f"_{file_name(run.name)}"
         track = run.track

@@ -4,6 +4,7 @@ import contextlib
 import json
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,7 @@ from kedge.studies.chunks import (
     study_digest,
 )
 from kedge.studies.engines import Job, check, chosen
+from kedge.studies.figures_of_merit import StudySummary
 from kedge.studies.scores import Tally, chunks_of, unpack
 from kedge.studies.study import Trials
 
@@ -49,7 +51,21 @@ class Options(NamedTuple):
     require: Sequence[tuple[str, str, float]] = ()
 
 
-def execute(name: str, options: Options) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ShardSummary:
+    """What ``kedge study --shard i/n --json`` prints."""
+
+    command: str
+    shard: tuple[int, int]
+    """i and n."""
+    chunks: tuple[int, ...]
+    """Those in the folder."""
+    of: int
+    digest: str
+    """Of the study."""
+
+
+def execute(name: str, options: Options) -> StudySummary | ShardSummary:
     """Read a scenario, run the study, write its folder if one is asked for.
 
     Of a shard only the chunks are written, and what is returned says which.
@@ -94,20 +110,13 @@ def execute(name: str, options: Options) -> dict[str, Any]:
         except KeyboardInterrupt:
             raise Interrupted(_kept(folder, mine, options)) from None
         if isinstance(folder, ChunkFolder) and shard is not None:
-            return {
-                "command": "study",
-                "shard": list(shard),
-                "chunks": mine,
-                "of": len(chunks),
-                "digest": folder.digest,
-                "filters": {},
-            }
+            return ShardSummary("study", shard, tuple(mine), len(chunks), folder.digest)
         return finish(job, folder, progress if options.out and options.report else None)
 
 
 def merge(
     sources: Sequence[Path], out: Path, resume: bool, force: bool, report: bool = True
-) -> dict[str, Any]:
+) -> StudySummary:
     """Put the shards of a study together, and write what one whole study leaves.
 
     Raises:
@@ -150,7 +159,7 @@ def merge(
 
 def finish(
     job: Job, chunks: ChunkFolder | MemoryChunks, reporting: Callable[[str], None] | None
-) -> dict[str, Any]:
+) -> StudySummary:
     """Add up the chunks in their order, and write the results beside them.
 
     A report is drawn if there is somebody to tell: ``reporting``.

@@ -1,60 +1,53 @@
 """What ``kedge study`` and ``kedge merge`` leave and print."""
 
 import csv
-import platform
+import math
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
-from kedge import __version__
+from kedge.apps.summaries import facts_of, provenance
 from kedge.config.scenarios import Setting
-from kedge.estimation.compiled import compiler
-from kedge.formats.results import as_toml, digest, flatten, plain, write_summary, write_table
+from kedge.evaluation.record import by_name, record
+from kedge.evaluation.scores import Score
+from kedge.formats.results import as_toml, digest, plain, write_summary, write_table
 from kedge.reports import study_findings as findings
 from kedge.reports.findings import said
 from kedge.reports.study_report import StudyContent
-from kedge.studies.claims import (
-    FALSE,
-    OPEN,
-    TRUE,
-    Evidence,
-    judge,
-    judge_band,
-    look_up,
+from kedge.studies.claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band, look_up
+from kedge.studies.figures_of_merit import (
+    ExpectedFigure,
+    Headline,
+    JudgedClaim,
+    PublishedScore,
+    QuotedFigure,
+    StudySummary,
+    WindowScores,
 )
 from kedge.studies.scores import Result, Tally
-from kedge.studies.study import Study, plan_of
-from kedge.studies.summary import blank, summarise_study, windows
+from kedge.studies.study import Study
+from kedge.studies.summary import blank, summarise_study
 
 
-def write_study(
-    folder: Path, summary: Mapping[str, Any], results: Mapping[str, Result]
-) -> None:
+def write_study(folder: Path, summary: StudySummary, results: Mapping[str, Result]) -> None:
     """Summary, table and runs; the report is written apart."""
-    write_summary(folder / "summary.json", summary)
-    write_table(folder / "table.csv", summary["filters"])
+    write_summary(folder / "summary.json", record(summary))
+    write_table(folder / "table.csv", plain(record(summary.filters)))
     _write_runs(folder / "runs.csv", results)
 
 
-def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyContent:
+def content_of(study: Study, tally: Tally, summary: StudySummary) -> StudyContent:
     """What the report is drawn from."""
+    configuration = summary.about.configuration
     shown = {
         key: value
-        for key, value in summary["configuration"].items()
+        for key, value in configuration.items()
         if key
         not in ("claims", "errata", "expected", "published", "quoted")  # the page has them
-    }
-    facts = {
-        "command": "kedge " + " ".join(summary["arguments"]),
-        "kedge": summary["version"],
-        **summary["versions"],
-        "platform": summary["platform"],
-        "seed": str(summary["seed"]),
-        **{f"digest of {part}": value for part, value in summary["digest"].items()},
     }
     return StudyContent(
         study,
@@ -63,150 +56,154 @@ def content_of(study: Study, tally: Tally, summary: Mapping[str, Any]) -> StudyC
         tally.readings,
         summary,
         as_toml(shown),
-        facts,
-        summary["configuration"]["scenario"]["featured"],
+        facts_of(summary.about),
+        configuration["scenario"]["featured"],
     )
 
 
 def summary_of(
     setting: Setting, study: Study, results: Mapping[str, Result], runs: int
-) -> dict[str, Any]:
+) -> StudySummary:
     """What goes into ``summary.json``; the digest pins configuration and result."""
-    about = setting.config.scenario
     filters = summarise_study(study, results)
-    for name in filters:
-        if name in setting.config.published:
-            entry = setting.config.published[name]
-            source = entry.source or about.source
-            filters[name]["published"] = {"rmse": entry.rmse, "source": source}
-    plan = plan_of(study)
-    for name, result in results.items():
-        if plan.windows:
-            filters[name]["windows"] = windows(study, plan, result)
-    configuration = setting.config.model_dump(mode="json", exclude_none=True)
+    for name, entry in setting.config.published.items():
+        if name in filters:
+            source = entry.source or setting.config.scenario.source
+            published = PublishedScore(entry.rmse, source)
+            filters[name] = replace(filters[name], published=published)
     # Without the last, which follows from what is not in it: digests outlive a new score.
     scores = [
         digest(name, *map(np.asarray, (*result.runs[:-1], *result.whole[:-1])))
         for name, result in results.items()
     ]
-    parts = {"configuration": digest(configuration), "result": digest(*scores)}
-    found = {
-        "command": "study",
-        "arguments": sys.argv[1:],
-        "version": __version__,
-        "versions": {n: version(n) for n in ("jax", "equinox", "numpy")} | compiler(),
-        "platform": f"Python {platform.python_version()}, {platform.machine()}",
-        "title": about.title,
-        "source": about.source,
-        "seed": study.seed,
-        "runs": runs,
-        "score": {"name": study.score, "of": next(iter(filters.values()))["score_of"]},
-        "filters": filters,
+    about = provenance(
+        "study",
+        setting.config.scenario.title,
+        setting.config.model_dump(mode="json", exclude_none=True),
+        {"result": digest(*scores)},
+        seed=study.seed,
+        runs=runs,
+    )
+    summary = StudySummary(
+        about,
+        source=setting.config.scenario.source,
+        score=Headline(study.score, next(iter(filters.values())).score_of),
+        filters=filters,
         **_judged(setting, Evidence(study, results, filters)),
-        "configuration": configuration,
-        "digest": {**parts, "all": digest(parts)},
-    }
-    summary = plain(found)
-    return summary | {"warnings": said(findings.warnings(summary))}
+    )
+    warnings = tuple(said(findings.warnings(summary)))
+    return replace(summary, about=replace(about, warnings=warnings))
 
 
 def score_names(setting: Setting, study: Study, filters: Sequence[str]) -> list[str]:
     """Every number that the study will leave, as ``--require`` names it."""
-    found = summary_of(setting, study, {"any": blank(study)}, 1)["filters"]["any"]
-    scores = [name for name, value in flatten(found) if not isinstance(value, str)]
+    scores = by_name(summary_of(setting, study, {"any": blank(study)}, 1).filters["any"])
     published = [f"{name}.published.rmse" for name in setting.config.published]
     return [f"{name}.{score}" for name in filters for score in scores] + published
 
 
-def _judged(setting: Setting, evidence: Evidence) -> dict[str, Any]:
-    """Expected figures and claims with their verdicts, and errata, where a scenario has any."""
+class Verdicts(TypedDict):
+    """What a study makes of the figures and claims of its scenario."""
+
+    quoted: tuple[QuotedFigure, ...]
+    expected: tuple[ExpectedFigure, ...]
+    claims: tuple[JudgedClaim, ...]
+    errata: tuple[str, ...]
+
+
+def _judged(setting: Setting, evidence: Evidence) -> Verdicts:
     config = setting.config
-    expected = []
-    for band in config.expected:
-        low, high = band.between
-        verdict, figures = judge_band(band.score, low, high, evidence)
-        expected.append(band.model_dump() | {"verdict": verdict, "figures": figures})
-    claims = []
-    for claim in config.claims:
-        verdict, figures = judge(claim.test, evidence)
-        claims.append(claim.model_dump() | {"verdict": verdict, "figures": figures})
-    quoted = []
-    for entry in config.quoted:
-        here = look_up(entry.score, evidence)
-        ours = {"here": None} if here is None else {"here": here.mean, "here_ci": [*here[1:]]}
-        quoted.append(entry.model_dump() | ours)
-    found = {"quoted": quoted, "expected": expected, "claims": claims}
-    found |= {"errata": list(config.errata)}
-    return {key: value for key, value in found.items() if value}
+    return Verdicts(
+        quoted=tuple(
+            QuotedFigure(
+                **entry.model_dump(), here=look_up(entry.score, evidence) or Score(math.nan)
+            )
+            for entry in config.quoted
+        ),
+        expected=tuple(
+            ExpectedFigure(
+                **band.model_dump(),
+                **judge_band(band.score, band.between, evidence)._asdict(),
+            )
+            for band in config.expected
+        ),
+        claims=tuple(
+            JudgedClaim(**claim.model_dump(), **judge(claim.test, evidence)._asdict())
+            for claim in config.claims
+        ),
+        errata=tuple(config.errata),
+    )
 
 
-def print_study(summary: Mapping[str, Any]) -> None:
+def print_study(summary: StudySummary) -> None:
     """The table of filters, the published score beside ours."""
     from rich.console import Console
     from rich.table import Table
 
-    score, rows = summary["score"], summary["filters"]
+    rows = summary.filters
+    first = next(iter(rows.values()))
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("filter", no_wrap=True)
-    published = any(row.get("published") for row in rows.values())
-    failed = any(row["failed"] for row in rows.values())
-    dof = next(iter(rows.values()))["nees_dof"]
-    known = any(row["singular"] is not None for row in rows.values())
-    base, several = next(iter(rows.values()))["baseline"], len(rows) > 1
-    titles = [score["of"], "95 % interval"] + ["published"] * published
-    against = base if len(base) < 16 else "the first"
+    published = any(row.published for row in rows.values())
+    failed = any(row.failed for row in rows.values())
+    known = any(np.isfinite(row.settled.singular) for row in rows.values())
+    several = len(rows) > 1
+    titles = [summary.score.of, "95 % interval"] + ["published"] * published
+    against = first.baseline if len(first.baseline) < 16 else "the first"
     titles += [f"x {against}", "95 % interval"] * several
-    titles += [f"NEES ({dof} right)", "in 95 % bound"] * known
+    titles += [f"NEES ({first.nees_dof} right)", "in 95 % bound"] * known
     titles += ["failed runs"] * failed + ["s/run"]
     for title in titles:
         table.add_column(title, justify="right")
     for name, row in rows.items():
-        cells = [_shown(row["score"]), _between(row["score_ci"])]
-        cells += [_shown((row.get("published") or {}).get("rmse"))] * published
-        ratio = [_shown(row["ratio_to_baseline"]), _between(row["ratio_to_baseline_ci"])]
-        cells += (["-", "-"] if name == base else ratio) * several
-        nees = "singular" if (row["singular"] or 0.0) > 0 else _shown(row["nees"])
-        cells += [nees, _covered(row)] * known
-        cells += [str(row["failed"])] * failed + [_shown(row["seconds_per_run"], ".2g")]
+        cells = [_shown(row.score.value), _between(row.score)]
+        cells += [_shown(row.published.rmse if row.published else None)] * published
+        ratio = [_shown(row.ratio_to_baseline.value), _between(row.ratio_to_baseline)]
+        cells += (["-", "-"] if name == row.baseline else ratio) * several
+        cells += _honesty(row.settled) * known
+        cells += [str(row.failed)] * failed + [_shown(row.seconds_per_run, ".2g")]
         table.add_row(name, *cells)
     console = Console(width=None if sys.stdout.isatty() else 180, highlight=False)
-    console.print(f"{summary['title']}: {summary['runs']} runs, seed {summary['seed']}")
+    about = summary.about
+    console.print(f"{about.title}: {about.runs} runs, seed {about.seed}")
     console.print(table)
-    entries = [row["published"] for row in rows.values() if row.get("published")]
-    for source in sorted({entry["source"] for entry in entries}):
+    sources = sorted({row.published.source for row in rows.values() if row.published})
+    for source in sources:
         console.print(f"published: {source}", markup=False, soft_wrap=True)
 
     def progress(*lines: str) -> None:
         for line in lines:
             console.print(line, markup=False, soft_wrap=True)
 
-    for entry in summary.get("quoted", ()):
-        here = "not here" if entry["here"] is None else f"here {entry['here']:.4g}"
-        progress(f"{entry['source']}: {entry['score']} {entry['value']:g}; {here}")
-    for band in summary.get("expected", ()):
-        mark = {TRUE: "as expected", FALSE: "NOT as expected"}.get(band["verdict"], OPEN)
-        progress(f"{mark}: {band['score']} {band['figures']}")
-    for claim in summary.get("claims", ()):
-        progress("", f"claim: {claim['text']} ({claim['source']})")
-        progress(f"  {claim['verdict']}: {claim['figures']}")
-        if claim["means"]:
-            progress(f"  {claim['means']}")
-    if summary.get("errata"):
-        progress("", "errata:", *(f"  {text}" for text in summary["errata"]))
+    for entry in summary.quoted:
+        here = f"here {entry.here:.4g}" if np.isfinite(entry.here.value) else "not here"
+        progress(f"{entry.source}: {entry.score} {entry.value:g}; {here}")
+    for band in summary.expected:
+        mark = {TRUE: "as expected", FALSE: "NOT as expected"}.get(band.verdict, OPEN)
+        progress(f"{mark}: {band.score} {band.figures}")
+    for claim in summary.claims:
+        progress("", f"claim: {claim.text} ({claim.source})")
+        progress(f"  {claim.verdict}: {claim.figures}")
+        if claim.means:
+            progress(f"  {claim.means}")
+    if summary.errata:
+        progress("", "errata:", *(f"  {text}" for text in summary.errata))
 
 
-def _covered(row: Mapping[str, Any]) -> str:
-    """A share in the 95 % bound; none where the covariance has no inverse."""
-    return "-" if row["nees"] is None else _shown(row["coverage_95"], ".0%")
+def _honesty(scores: WindowScores) -> list[str]:
+    """NEES and the share in the 95 % bound; neither where the covariance has no inverse."""
+    if scores.singular > 0:
+        return ["singular", "-"]
+    inside = scores.coverage_95.value if np.isfinite(scores.nees.value) else None
+    return [_shown(scores.nees.value), _shown(inside, ".0%")]
 
 
-def _between(ends: Sequence[float | None]) -> str:
-    low, high = ends
-    return "-" if low is None or high is None else f"[{low:.3g}, {high:.3g}]"
+def _between(score: Score) -> str:
+    return f"[{score.lower:.3g}, {score.upper:.3g}]" if np.isfinite(score[1:]).all() else "-"
 
 
 def _shown(value: float | None, form: str = ".3g") -> str:
-    return "-" if value is None else format(value, form)
+    return "-" if value is None or not np.isfinite(value) else format(value, form)
 
 
 def _write_runs(path: Path, results: Mapping[str, Result]) -> None:

@@ -1,10 +1,9 @@
 """The work behind ``estimate``, ``compare`` and ``demo``: filters over one recorded log."""
 
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +11,18 @@ import jax
 import jax.random as jr
 import numpy as np
 
-from kedge import __version__
 from kedge.apps.console import console_progress
 from kedge.apps.output import write_results
+from kedge.apps.summaries import facts_of, provenance
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, load_problem
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
-from kedge.estimation.compiled import compiler
 from kedge.estimation.smoother import compile_smoother
 from kedge.evaluation.score import Run, in_the_map, score
-from kedge.formats.results import as_toml, digest, plain
+from kedge.evaluation.scores import LogSummary, Provenance
+from kedge.formats.results import as_toml, digest
 from kedge.formats.results_folder import results_folder
 from kedge.reports.findings import principal, said, warnings
 from kedge.reports.report import ReportContent, write_report
@@ -56,7 +55,7 @@ def execute(
     command: str,
     seed: int,
     report: bool = True,
-) -> dict[str, Any]:
+) -> LogSummary:
     """Run the filters, write the folder of results with its report, return the summary.
 
     Raises:
@@ -65,21 +64,13 @@ def execute(
     use_compilation_cache()
     with results_folder(out, "estimate") as folder, console_progress() as progress:
         runs = run_filters(problem, names, seed, progress)
-        facts = {
-            "command": command,
-            "arguments": sys.argv[1:],
-            "version": __version__,
-            "seed": seed,
-            "versions": {n: version(n) for n in ("jax", "equinox", "numpy")} | compiler(),
-            "platform": f"Python {platform.python_version()}, {platform.machine()}",
-        }
-        summary = summarise(problem, runs, facts)
+        summary = summarise(problem, runs, command, seed)
         progress("writing results")
         write_results(folder, problem, runs, summary)
         if report:
             progress("drawing the report")
-            write_report(folder, content_of(problem, runs, summary))
-    return plain(summary)
+            write_report(folder, content_of(problem, runs, summary.about))
+    return summary
 
 
 def run_filters(
@@ -122,45 +113,40 @@ def run_filters(
             problem.target_names,
         )
         events = len(problem.recording.stamps)
-        run.scores.update(seconds=seconds, microseconds_per_event=seconds / events * 1e6)
-        runs.append(run)
-    _against_baseline(runs)
-    return runs
+        each = seconds / events * 1e6
+        scores = replace(run.scores, seconds=seconds, microseconds_per_event=each)
+        runs.append(run._replace(scores=replace(scores, digest=_result_digest(run))))
+    return _against_baseline(runs)
 
 
-def summarise(problem: Problem, runs: Sequence[Run], facts: dict[str, Any]) -> dict[str, Any]:
+def summarise(problem: Problem, runs: Sequence[Run], command: str, seed: int) -> LogSummary:
     """What goes into ``summary.json``; the digest pins inputs, configuration and result."""
-    result = {run.name: _result_digest(run) for run in runs}
-    parts = {
-        "inputs": problem.inputs_digest,
-        "configuration": digest(problem.config),
-        "result": digest(result),
-    }
-    return {
-        **facts,
-        "title": problem.title,
-        "runs": 1,
-        "filters": {run.name: run.scores | {"digest": result[run.name]} for run in runs},
-        "verdicts": {run.name: _verdicts(run) for run in runs},
-        "events": len(problem.recording.stamps),
-        "duration": float(problem.recording.log.schedule.time[-1]),
-        "notes": list(problem.notes),
-        "warnings": said(warnings(runs, problem.recording, problem.rig)),
-        "configuration": problem.config,
-        "digest": {**parts, "all": digest(parts)},
-    }
+    about = provenance(
+        command,
+        problem.title,
+        problem.config,
+        {
+            "inputs": problem.inputs_digest,
+            "result": digest({run.name: run.scores.digest for run in runs}),
+        },
+        seed=seed,
+        notes=tuple(problem.notes),
+        warnings=said(warnings(runs, problem.recording, problem.rig)),
+    )
+    return LogSummary(
+        about,
+        filters={run.name: run.scores for run in runs},
+        verdicts={
+            run.name: {sensor: entry.verdicts for sensor, entry in run.scores.sensors.items()}
+            for run in runs
+        },
+        events=len(problem.recording.stamps),
+        duration=float(problem.recording.log.schedule.time[-1]),
+    )
 
 
-def content_of(problem: Problem, runs: Sequence[Run], summary: dict[str, Any]) -> ReportContent:
+def content_of(problem: Problem, runs: Sequence[Run], about: Provenance) -> ReportContent:
     """What the report is drawn from."""
-    facts = {
-        "command": "kedge " + " ".join(summary["arguments"]),
-        "kedge": summary["version"],
-        **summary["versions"],
-        "platform": summary["platform"],
-        "seed": str(summary["seed"]),
-        **{f"digest of {part}": value for part, value in summary["digest"].items()},
-    }
     return ReportContent(
         title=problem.title,
         runs=list(runs),
@@ -169,7 +155,7 @@ def content_of(problem: Problem, runs: Sequence[Run], summary: dict[str, Any]) -
         truth=problem.truth and in_the_map(problem.truth, principal(runs).track),
         target_names=problem.target_names,
         configuration=as_toml(problem.config),
-        facts=facts,
+        facts=facts_of(about),
         notes=list(problem.notes),
     )
 
@@ -180,20 +166,16 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
     return found, time.perf_counter() - before
 
 
-def _against_baseline(runs: Sequence[Run]) -> None:
+def _against_baseline(runs: list[Run]) -> list[Run]:
     """Position RMSE as a ratio to dead reckoning, if that is among the runs."""
-    base = next((run for run in runs if run.name == BASELINE and run.errors), None)
-    if base is None or "position" not in base.scores["rmse"]:
-        return
-    if not base.scores["rmse"]["position"] > 0:
-        return
-    for run in runs:
-        ratio = run.scores["rmse"]["position"] / base.scores["rmse"]["position"]
-        run.scores["ratio_to_baseline"] = ratio
-
-
-def _verdicts(run: Run) -> dict[str, dict[str, int]]:
-    return {name: entry["verdicts"] for name, entry in run.scores["sensors"].items()}
+    errors = {run.name: run.scores.rmse.get("position") for run in runs}
+    if (base := errors.get(BASELINE)) is None or not base.value > 0:
+        return runs
+    return [
+        run._replace(scores=replace(run.scores, ratio_to_baseline=error.value / base.value))
+        for run in runs
+        if (error := errors[run.name]) is not None
+    ]
 
 
 def _result_digest(run: Run) -> str:

@@ -1,13 +1,14 @@
 """Residuals by target: which landmark, beacon or anchor is not what the map says of it."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from kedge.core.verdicts import Verdict
 from kedge.estimation.step import Outcome
+from kedge.evaluation.scores import FilterScores, ResidualScore, TargetScores
 
 FEW = 20  # readings; a median of fewer says little
 OFF = 0.7  # predicted standard deviations of the median from 0; honest ones stay below a tenth
@@ -31,7 +32,7 @@ def target_scores(
     target: Int[np.ndarray, " n"],
     ids: tuple[str, ...],
     labels: tuple[str, ...],
-) -> dict[str, Any]:
+) -> dict[str, TargetScores]:
     """By target and component: median and spread of the residuals, those of a gate included.
 
     ``standardised`` is the median of the residuals in predicted standard deviations: a bias
@@ -44,54 +45,48 @@ def target_scores(
         ids: the targets' names.
         labels: of the components of its measurement.
     """
-    found = {}
+    scores = {}
     for index, name in enumerate(ids[:MOST]):
         rows = mine[target == index]
         if not len(rows):
             continue
         verdicts = np.asarray(outcome.verdict)[rows]
         judged = (verdicts == Verdict.FUSED) | (verdicts == Verdict.GATED)
-        entry: dict[str, Any] = {
-            "readings": len(rows),
-            "gated": int((verdicts == Verdict.GATED).sum()),
-        }
+        residuals = {}
         residual = np.asarray(outcome.residual)[rows][judged][:, : len(labels)]
         std = np.asarray(outcome.std)[rows][judged][:, : len(labels)]
         for at, label in enumerate(labels):
-            there = np.isfinite(residual[:, at])
-            if there.any():
-                entry[label] = _spread(residual[there, at], std[there, at])
-        found[name] = entry
-    return found
+            measured = np.isfinite(residual[:, at])
+            if measured.any():
+                residuals[label] = _spread(residual[measured, at], std[measured, at])
+        gated = int((verdicts == Verdict.GATED).sum())
+        scores[name] = TargetScores(len(rows), gated, residuals)
+    return scores
 
 
-def _spread(
-    residual: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]
-) -> dict[str, float]:
+def _spread(residual: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]) -> ResidualScore:
     median = float(np.median(residual))
-    return {
-        "median": median,
-        "spread": float(1.4826 * np.median(np.abs(residual - median))),
-        "standardised": float(np.median(residual / std)),
-    }
+    return ResidualScore(
+        median,
+        spread=float(1.4826 * np.median(np.abs(residual - median))),
+        standardised=float(np.median(residual / std)),
+    )
 
 
-def targets_off(scores: Mapping[str, Any], units: Mapping[str, Mapping[str, str]]) -> list[Off]:
+def targets_off(scores: FilterScores, units: Mapping[str, Mapping[str, str]]) -> list[Off]:
     """Targets whose readings are off on the whole, the worst first.
 
     Args:
         scores: of a run.
         units: by sensor, the unit of each component.
     """
-    found = []
-    for sensor, entry in scores["sensors"].items():
-        for target, about in entry.get("targets", {}).items():
-            if about["readings"] < FEW:
-                continue
-            for label, unit in units.get(sensor, {}).items():
-                part = about.get(label)
-                if part is not None and abs(part["standardised"]) > OFF:
-                    found.append(
-                        Off(sensor, target, label, unit, part["median"], part["standardised"])
-                    )
-    return sorted(found, key=lambda off: -abs(off.standardised))
+    biased = [
+        Off(sensor, target, label, unit, residual.median, residual.standardised)
+        for sensor, entry in scores.sensors.items()
+        for target, about in entry.targets.items()
+        if about.readings >= FEW
+        for label, unit in units.get(sensor, {}).items()
+        if (residual := about.residuals.get(label)) is not None
+        and abs(residual.standardised) > OFF
+    ]
+    return sorted(biased, key=lambda off: -abs(off.standardised))

@@ -1,19 +1,21 @@
 """Numerical health of a run: what a filter had to do to keep its belief usable."""
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
 from kedge.evaluation import refusals, silences
+from kedge.evaluation.scores import EffectiveSize, HealthScores
 
 LARGE = 100  # components; above it the eigenvalues of every event take too long
 
 
-def health(estimates: Estimates) -> dict[str, Any]:
+def health(estimates: Estimates) -> HealthScores:
     """Counts of repairs and recoveries, the least certain direction, what particles did.
 
     ``smallest_eigenvalue`` is the least, over all events, of the correlation matrix's: it has
@@ -24,19 +26,21 @@ def health(estimates: Estimates) -> dict[str, Any]:
     """
     outcome = jax.tree.map(np.asarray, estimates.outcome)
     cov = np.asarray(estimates.moments.cov)
-    found: dict[str, Any] = {
-        "repairs": int(outcome.repairs.sum()),
-        "recoveries": int(outcome.recovered.sum()),
-    }
-    if cov.shape[-1] <= LARGE:
-        found["smallest_eigenvalue"] = smallest_eigenvalue(cov)
+    scores = HealthScores(
+        repairs=int(outcome.repairs.sum()),
+        recoveries=int(outcome.recovered.sum()),
+        smallest_eigenvalue=smallest_eigenvalue(cov) if cov.shape[-1] <= LARGE else None,
+    )
     sizes = outcome.effective_size[np.isfinite(outcome.effective_size)]
-    if len(sizes):
-        found["effective_size"] = {"min": float(sizes.min()), "median": float(np.median(sizes))}
-        found["resampled"] = int(outcome.resampled.sum())
-        found["depleted"] = int((sizes == 0).sum())
-        found["collapsed"] = int(((sizes > 0) & (sizes < 2)).sum())
-    return found
+    if not len(sizes):
+        return scores
+    return replace(
+        scores,
+        effective_size=EffectiveSize(float(sizes.min()), float(np.median(sizes))),
+        resampled=int(outcome.resampled.sum()),
+        depleted=int((sizes == 0).sum()),
+        collapsed=int(((sizes > 0) & (sizes < 2)).sum()),
+    )
 
 
 def smallest_eigenvalue(cov: Float[np.ndarray, "T n n"]) -> float:
@@ -50,29 +54,32 @@ def smallest_eigenvalue(cov: Float[np.ndarray, "T n n"]) -> float:
     return float(np.linalg.eigvalsh(correlation).min())
 
 
-def concerns(name: str, found: dict[str, Any], verdicts: Int[np.ndarray, " T"]) -> list[str]:
-    """What of it a user should know, in sentences; none if all is well."""
+def concerns(name: str, scores: HealthScores, verdicts: Mapping[str, int]) -> list[str]:
+    """What of it a user should know, in sentences; none if all is well.
+
+    ``verdicts`` counts those of all readings.
+    """
     said = []
-    if found["repairs"]:
+    if scores.repairs:
         said.append(
-            f"{name}: a covariance had to be repaired {found['repairs']} times; it was not "
+            f"{name}: a covariance had to be repaired {scores.repairs} times; it was not "
             "positive semi-definite. A square-root filter cannot lose it."
         )
-    if found.get("smallest_eigenvalue", 0.0) < -1e-9:
+    if (scores.smallest_eigenvalue or 0.0) < -1e-9:
         said.append(
             f"{name}: a covariance is not positive semi-definite; the least eigenvalue of its "
-            f"correlations is {found['smallest_eigenvalue']:.1e}."
+            f"correlations is {scores.smallest_eigenvalue:.1e}."
         )
-    if found.get("depleted"):
-        judged = int(((verdicts == Verdict.FUSED) | (verdicts == Verdict.DROPPED)).sum())
+    if scores.depleted:
+        judged = sum(verdicts.get(v.name, 0) for v in (Verdict.FUSED, Verdict.DROPPED))
         said.append(
-            f"{name}: no particle explained {found['depleted']} of {judged} readings, which "
+            f"{name}: no particle explained {scores.depleted} of {judged} readings, which "
             "were left out; more particles, or a wider start or noise, would."
         )
-    if found.get("collapsed"):
+    if scores.collapsed:
         said.append(
-            f"{name}: at {found['collapsed']} readings one particle carried nearly all the "
+            f"{name}: at {scores.collapsed} readings one particle carried nearly all the "
             "weight; there the estimate is that of luck."
         )
-    said += refusals.sentences(name, found.get("refusals", {}))
-    return said + silences.sentences(name, found.get("silences", {}))
+    said += refusals.sentences(name, scores.refusals)
+    return said + silences.sentences(name, scores.silences)

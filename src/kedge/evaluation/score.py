@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -21,8 +22,16 @@ from kedge.evaluation.by_target import target_scores
 from kedge.evaluation.consistency import coverage, mean_interval, nees, singular, whiteness
 from kedge.evaluation.health import health
 from kedge.evaluation.refusals import refusals
+from kedge.evaluation.scores import (
+    ClippedControl,
+    FilterScores,
+    Score,
+    SensorScores,
+    WhitenessScore,
+)
 from kedge.evaluation.silences import silences
 from kedge.evaluation.trajectory import (
+    Statistics,
     Trajectory,
     absolute_pose_error,
     align,
@@ -73,8 +82,7 @@ class Run(NamedTuple):
     track: Track
     errors: Errors | None
     """None without truth."""
-    scores: dict[str, Any]
-    """Ready for ``summary.json``."""
+    scores: FilterScores
 
 
 def track_of(estimates: Estimates, recording: Recording) -> Track:
@@ -150,32 +158,30 @@ def score(
     truth: Truth | None = None,
     targets: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Run:
-    """Everything about one run that goes into the summary and the report.
+    """Score one run: its errors, the honesty of its covariance, the fate of its readings.
 
     ``targets`` are the names of the targets by sensor; without them they go by number.
     """
     track = track_of(estimates, recording)
-    scores: dict[str, Any] = {
-        "sensors": _sensor_scores(estimates, recording, rig, targets or {}),
-        "health": health(estimates),
-        "std": _deviations(track),
-    }
-    if silent := silences(estimates, recording, rig):
-        scores["health"]["silences"] = silent
-    if refused := refusals(estimates, recording, rig):
-        scores["health"]["refusals"] = refused
-    if beyond := clipped(recording, rig.vehicle):
-        scores["health"]["clipped_controls"] = beyond
-    errors = None
+    beyond = clipped(recording, rig.vehicle)
+    scores = FilterScores(
+        sensors=_sensor_scores(estimates, recording, rig, targets or {}),
+        health=replace(
+            health(estimates),
+            refusals=refusals(estimates, recording, rig),
+            silences=silences(estimates, recording, rig),
+            clipped_controls={n: ClippedControl(**entry) for n, entry in beyond.items()},
+        ),
+        std=_deviations(track),
+        singular=singular(track.cov),
+    )
     if truth is None:
-        scores["singular"] = singular(track.cov)
-    else:
-        truth = in_the_map(truth, track)
-        errors = errors_of(track, truth)
-        scores |= _accuracy(errors)
-        if "position" in errors.fields:
-            scores |= _path_scores(track, truth)
-        _add_spatial(scores, track, truth, errors)
+        return Run(name, estimates, track, None, scores)
+    truth = in_the_map(truth, track)
+    errors = errors_of(track, truth)
+    scores = _with_errors(scores, errors, _spatial_errors(track, truth, errors))
+    if "position" in errors.fields:
+        scores = _with_path(scores, track, truth)
     return Run(name, estimates, track, errors, scores)
 
 
@@ -214,15 +220,20 @@ def _minus(chart: Chart, true: np.ndarray, mean: np.ndarray) -> Float[np.ndarray
     return np.array(jax.jit(jax.vmap(chart.boxminus))(true, mean))
 
 
-def _accuracy(errors: Errors) -> dict[str, Any]:
-    """RMSE with autocorrelation-aware intervals, NEES and coverage, per field and component."""
+def _with_errors(
+    scores: FilterScores, errors: Errors, others: Mapping[str, Float[np.ndarray, " K"]]
+) -> FilterScores:
+    """RMSE with autocorrelation-aware intervals, NEES and coverage, per field and component.
+
+    ``others`` are squared errors of which only the RMSE is wanted, by name.
+    """
     there = ~np.isnan(errors.error).any(axis=1)
     if not there.any():
         raise DataError("truth covers none of the output times")
-    rmse, interval, share, mean_nees = {}, {}, {}, {}
+    rmse, share, mean_nees = {}, {}, {}
     for field, cut in errors.fields.items():
         squared = np.sum(errors.error[:, cut] ** 2, axis=1)
-        rmse[field], interval[field] = _root_mean(squared)
+        rmse[field] = _root_mean(squared)
         inside = coverage(errors.error[there][:, cut], errors.cov[there][:, cut, cut])
         share[field] = float(inside)
         mean_nees[field] = float(
@@ -231,27 +242,26 @@ def _accuracy(errors: Errors) -> dict[str, Any]:
         if cut.stop - cut.start > 1:
             for index in range(cut.start, cut.stop):
                 label = errors.labels[index]
-                rmse[label], interval[label] = _root_mean(errors.error[:, index] ** 2)
+                rmse[label] = _root_mean(errors.error[:, index] ** 2)
     whole = np.asarray(nees(errors.error[there], errors.cov[there]))
-    return {
-        "rmse": rmse,
-        "rmse_ci": interval,
-        "nees": float(whole.mean()),
-        "nees_dof": errors.error.shape[1],
-        "nees_by_field": mean_nees,
-        "singular": singular(errors.cov[there]),
-        "coverage_95": share,
-        "samples": int(there.sum()),
-    }
+    return replace(
+        scores,
+        rmse=rmse | {name: _root_mean(squared) for name, squared in others.items()},
+        nees=float(whole.mean()),
+        nees_dof=errors.error.shape[1],
+        nees_by_field=mean_nees,
+        singular=singular(errors.cov[there]),
+        coverage_95=share,
+        samples=int(there.sum()),
+    )
 
 
-def _root_mean(squared: Float[np.ndarray, " K"]) -> tuple[float, list[float]]:
-    found = mean_interval(squared)
-    ends = np.sqrt(np.maximum([found.lower, found.upper], 0.0))
-    return float(np.sqrt(found.mean)), ends.tolist()
+def _root_mean(squared: Float[np.ndarray, " K"]) -> Score:
+    mean = mean_interval(squared)
+    return Score(*np.sqrt(np.maximum([mean.mean, mean.lower, mean.upper], 0.0)).tolist())
 
 
-def _path_scores(track: Track, truth: Truth) -> dict[str, Any]:
+def _with_path(scores: FilterScores, track: Track, truth: Truth) -> FilterScores:
     """APE and RPE in the convention of evo, and the final error as a share of the path."""
     turn = "heading" if truth.fields["position"].shape[1] == 2 else "attitude"
     known = turn in truth.fields and hasattr(track.mean, turn)
@@ -262,29 +272,37 @@ def _path_scores(track: Track, truth: Truth) -> dict[str, Any]:
         Trajectory(truth.time, truth.fields["position"], truth.fields[turn] if known else None),
         longest_gap(truth.time),
     )
-    found: dict[str, Any] = {"ape": {}, "rpe": {}}
+    absolute: dict[str, Statistics] = {}
+    relative: dict[str, Statistics] = {}
     for kind in ("none", "rigid"):
         try:
             ape = absolute_pose_error(align(estimate, true, kind), true)
         except DataError:  # one spot or one line fixes no alignment
             continue
-        found["ape"][kind] = ape.translation._asdict()
+        absolute[kind] = ape.translation
     for metres in (1.0, 10.0):
         try:
             rpe = relative_pose_error(estimate, true, metres, "metres", "truth")
         except DataError:  # the vehicle did not drive so far
             continue
-        found["rpe"][f"{metres:g}_m"] = rpe.translation._asdict()
+        relative[f"{metres:g}_m"] = rpe.translation
     steps = np.linalg.norm(np.diff(true.position, axis=0), axis=1)
-    found["distance"] = float(steps.sum())
-    found["final_error"] = float(np.linalg.norm(estimate.position[-1] - true.position[-1]))
-    if found["distance"] > 0:
-        found["final_error_of_distance"] = found["final_error"] / found["distance"]
-    return found
+    distance = float(steps.sum())
+    final = float(np.linalg.norm(estimate.position[-1] - true.position[-1]))
+    return replace(
+        scores,
+        ape=absolute,
+        rpe=relative,
+        distance=distance,
+        final_error=final,
+        final_error_of_distance=final / distance if distance > 0 else None,
+    )
 
 
-def _add_spatial(scores: dict[str, Any], track: Track, truth: Truth, errors: Errors) -> None:
-    """RMSE in plan where there is a height, and of the heading where there is an attitude."""
+def _spatial_errors(
+    track: Track, truth: Truth, errors: Errors
+) -> dict[str, Float[np.ndarray, " K"]]:
+    """Squared errors in plan where there is a height, of the heading of an attitude."""
     squared = {}
     where = errors.fields.get("position")
     if where is not None and where.stop - where.start == 3:
@@ -295,8 +313,7 @@ def _add_spatial(scores: dict[str, Any], track: Track, truth: Truth, errors: Err
         gap = angles_of(true["attitude"]).heading - angles_of(track.mean.attitude).heading
         unknown = np.isnan(errors.error[:, errors.fields["attitude"]]).any(axis=1)
         squared["heading"] = np.where(unknown, np.nan, np.angle(np.exp(1j * gap)) ** 2)
-    for name, values in squared.items():
-        scores["rmse"][name], scores["rmse_ci"][name] = _root_mean(values)
+    return squared
 
 
 def _deviations(track: Track) -> dict[str, float]:
@@ -316,41 +333,44 @@ def _deviations(track: Track) -> dict[str, float]:
 
 def _sensor_scores(
     estimates: Estimates, recording: Recording, rig: Rig, names: Mapping[str, tuple[str, ...]]
-) -> dict[str, Any]:
+) -> dict[str, SensorScores]:
     """Per sensor: verdict counts, NIS against its expectation, whiteness of the innovations."""
     outcome = jax.tree.map(np.asarray, estimates.outcome)
     sensor = np.asarray(recording.log.schedule.sensor)
     row = np.asarray(recording.log.schedule.row)
-    found = {}
+    scores = {}
     for index, installation in enumerate(rig.sensors):
         mine = np.flatnonzero(sensor == index)
         verdicts = Counter(Verdict(int(v)).name for v in outcome.verdict[mine])
         fused = mine[outcome.verdict[mine] == Verdict.FUSED]
-        entry: dict[str, Any] = {
-            "readings": len(mine),
-            "verdicts": dict(sorted(verdicts.items())),
-        }
-        if len(mine):
-            entry["fused"] = len(fused) / len(mine)
+        size = space_of(installation.sensor.measures).size
+        entry = SensorScores(
+            len(mine),
+            dict(sorted(verdicts.items())),
+            fused=len(fused) / len(mine) if len(mine) else None,
+            whiteness=_whiteness(outcome.white[fused][:, :size]),
+        )
         if len(fused):
-            entry["nis"] = float(outcome.nis[fused].mean())
-            entry["nis_dof"] = float(outcome.dof[fused].mean())
-            entry["log_likelihood"] = float(outcome.log_likelihood[fused].sum())
-            size = space_of(installation.sensor.measures).size
-            white = outcome.white[fused][:, :size]
-            lags = min(20, len(fused) - 1)
-            if lags >= 1 and (np.nansum(white**2, axis=0) > 0).all():
-                test = whiteness(white, lags)
-                entry["whiteness"] = {
-                    "lag_1": float(test.autocorrelation[0]),
-                    "p_value": test.p_value,
-                    "white": bool(test.white),
-                }
+            entry = replace(
+                entry,
+                nis=float(outcome.nis[fused].mean()),
+                nis_dof=float(outcome.dof[fused].mean()),
+                log_likelihood=float(outcome.log_likelihood[fused].sum()),
+            )
         if installation.targets is not None and len(mine):
             target = np.asarray(recording.log.readings[index].target)[row[mine]]
             numbers = tuple(map(str, range(installation.targets)))
             ids = names.get(installation.name, numbers)
             labels = space_of(installation.sensor.measures).labels
-            entry["targets"] = target_scores(outcome, mine, target, ids, labels)
-        found[installation.name] = entry
-    return found
+            by_target = target_scores(outcome, mine, target, ids, labels)
+            entry = replace(entry, targets=by_target)
+        scores[installation.name] = entry
+    return scores
+
+
+def _whiteness(white: Float[np.ndarray, "f m"]) -> WhitenessScore | None:
+    lags = min(20, len(white) - 1)
+    if lags < 1 or not (np.nansum(white**2, axis=0) > 0).all():
+        return None
+    test = whiteness(white, lags)
+    return WhitenessScore(float(test.autocorrelation[0]), test.p_value, bool(test.white))

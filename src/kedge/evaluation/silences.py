@@ -1,6 +1,6 @@
 """Sensors not heard for longer than their rig allows: the estimate is degraded then."""
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -9,9 +9,10 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
 from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
+from kedge.evaluation.scores import Silence
 
 
-def silences(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, Any]:
+def silences(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, Silence]:
     """By sensor with an ``allowed_silence``: when it was exceeded (from, to; s), and how long.
 
     A reading counts if it was fused: one that is missing, refused or not finite is none. The
@@ -20,17 +21,14 @@ def silences(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, 
     sensor = np.asarray(recording.log.schedule.sensor)
     time = np.asarray(recording.log.schedule.time)
     fused = np.asarray(estimates.outcome.verdict) == Verdict.FUSED
-    found = {}
+    by_sensor = {}
     for number, installation in enumerate(rig.sensors):
         if (allowed := installation.allowed_silence) is not None:
             heard = time[(sensor == number) & fused]
             stretches = exceeded(heard, float(time[-1]), allowed)
-            found[installation.name] = {
-                "allowed": allowed,
-                "stretches": stretches,
-                "seconds": sum(end - begin for begin, end in stretches),
-            }
-    return found
+            seconds = sum(end - begin for begin, end in stretches)
+            by_sensor[installation.name] = Silence(allowed, tuple(stretches), seconds)
+    return by_sensor
 
 
 def exceeded(
@@ -45,14 +43,12 @@ def exceeded(
     return [(float(marks[i] + allowed), float(marks[i + 1])) for i in long]
 
 
-def sentences(name: str, found: dict[str, Any]) -> list[str]:
+def sentences(name: str, silent: Mapping[str, Silence]) -> list[str]:
     """What a user should know of it."""
-    said = []
-    for sensor, entry in found.items():
-        for begin, end in entry["stretches"]:
-            said.append(
-                f"{name}: {sensor} was not heard for {end - begin + entry['allowed']:.1f} s "
-                f"until {end:.1f} s, allowed are {entry['allowed']:g} s: the estimate is "
-                f"degraded from {begin:.1f} s on until then."
-            )
-    return said
+    return [
+        f"{name}: {sensor} was not heard for {end - begin + silence.allowed:.1f} s "
+        f"until {end:.1f} s, allowed are {silence.allowed:g} s: the estimate is "
+        f"degraded from {begin:.1f} s on until then."
+        for sensor, silence in silent.items()
+        for begin, end in silence.stretches
+    ]

@@ -1,6 +1,7 @@
 """What a report says in words: the headline, the facts below it, and its warnings."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -46,8 +47,8 @@ def headline(runs: Sequence[Run], recording: Recording) -> str:
     factor, unit = style.shown(run.errors.units[cut.start])
 
     def rms(other: Run) -> str:
-        ends = [factor * end for end in other.scores["rmse_ci"][field]]
-        return f"{style.measured(factor * other.scores['rmse'][field], ends)[0]}\u00a0{unit}"
+        value, *ends = (factor * number for number in other.scores.rmse[field])
+        return f"{style.measured(value, ends)[0]}\u00a0{unit}"
 
     parts = [
         f"{run.name}: {rms(run)} rms {style.words(field)} error over {seconds}\u00a0s",
@@ -81,7 +82,7 @@ def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
 
 def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     """What a reader should know before trusting the numbers."""
-    found = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores["singular"])]
+    found = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
     judged = [run for run in rivals(runs) if run.errors is not None]
     for word, wrong in (
         ("Over-confident", lambda share: share < HONEST),
@@ -93,12 +94,12 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
                 f"{word}, by the share of errors in the 95\u00a0% bound: {', '.join(names)}."
             )
     if judged:
-        missing = 1 - judged[0].scores["samples"] / len(judged[0].track.time)
+        missing = 1 - (judged[0].scores.samples or 0) / len(judged[0].track.time)
         if missing > 0.01:
             found.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
     for run in rivals(runs):
-        verdicts = np.asarray(run.estimates.outcome.verdict)
-        found += concerns(run.name, run.scores["health"], verdicts)
+        verdicts = sum((Counter(s.verdicts) for s in run.scores.sensors.values()), Counter())
+        found += concerns(run.name, run.scores.health, verdicts)
     run = principal(runs)
     for off in targets_off(run.scores, units_of(rig))[:NAMED]:
         factor, symbol = style.shown(off.unit)
@@ -118,13 +119,13 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
 
 def _used(run: Run, installation: Installation) -> list[str]:
     """How much of a sensor's readings went into the estimate, where that is a surprise."""
-    entry, gate = run.scores["sensors"][installation.name], installation.gate
-    counts, readings, sensor = entry["verdicts"], entry["readings"], installation.name
-    if not readings:
+    entry, gate = run.scores.sensors[installation.name], installation.gate
+    counts, readings, sensor = entry.verdicts, entry.readings, installation.name
+    if entry.fused is None:
         return [f"{run.name}: {sensor} has no readings in this log."]
-    if entry["fused"] < USED:
+    if entry.fused < USED:
         number = counts.get(Verdict.FUSED.name, 0)
-        used = f"only {style.percent(entry['fused'])} of" if number else "none of"
+        used = f"only {style.percent(entry.fused)} of" if number else "none of"
         return [
             f"{run.name}: {used} the {style.count(readings)} readings of {sensor} were used: "
             f"{refusals(counts)}."
@@ -183,8 +184,8 @@ def duration(recording: Recording) -> float:
 
 def driven(run: Run) -> float | None:
     """Length of the true path, else of the estimated one; none without a position."""
-    if "distance" in run.scores:
-        return run.scores["distance"]
+    if run.scores.distance is not None:
+        return run.scores.distance
     if not hasattr(run.track.mean, "position"):
         return None
     steps = np.diff(np.asarray(run.track.mean.position), axis=0)
@@ -193,12 +194,12 @@ def driven(run: Run) -> float | None:
 
 def inside(run: Run) -> float:
     """Share of the errors of the main field in their 95 % bound."""
-    return run.scores["coverage_95"][main_field(run.errors)[0]] if run.errors else np.nan
+    return run.scores.coverage_95[main_field(run.errors)[0]] if run.errors else np.nan
 
 
 def cost(run: Run, recording: Recording) -> float | None:
     """Time per event in microseconds, if the run was timed."""
-    seconds = run.scores.get("seconds")
+    seconds = run.scores.seconds
     return None if seconds is None else 1e6 * seconds / len(recording.stamps)
 
 
@@ -208,9 +209,9 @@ def _seconds(recording: Recording) -> str:
 
 
 def _readings(run: Run) -> tuple[int, int]:
-    entries = run.scores["sensors"].values()
-    fused = (entry["verdicts"].get(Verdict.FUSED.name, 0) for entry in entries)
-    return sum(entry["readings"] for entry in entries), sum(fused)
+    entries = run.scores.sensors.values()
+    fused = (entry.verdicts.get(Verdict.FUSED.name, 0) for entry in entries)
+    return sum(entry.readings for entry in entries), sum(fused)
 
 
 def _shares(run: Run) -> str:
@@ -225,5 +226,5 @@ def _spread(run: Run) -> str:
     name = "position" if "position" in states.slices() else next(iter(states.slices()))
     cut = states.slices()[name]
     factor, unit = style.shown(states.units[cut.start])
-    middle = style.number(factor * run.scores["std"][name], 2)
+    middle = style.number(factor * run.scores.std[name], 2)
     return f"{style.words(name)} known to {middle}\u00a0{unit} (median standard deviation)"

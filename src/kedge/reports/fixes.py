@@ -1,12 +1,12 @@
-"""Fixes against truth, and what they look like."""
+"""What fixes look like: in plan, and their residuals."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from kedge.positioning.fix import Fix, Status
+from kedge.positioning.fix import Fix
 from kedge.reports import style
 from kedge.reports.drawing import legend
 
@@ -16,49 +16,16 @@ else:
     Axes = Any
 
 
-def score_fixes(
-    fixes: Fix, truth: Float[np.ndarray, "n d"] | None, known: Bool[np.ndarray, " n"] | None
-) -> dict[str, Any]:
-    """How many of each status there are and, where truth is known, how large the errors are.
-
-    ``nees`` is the mean squared error in units of the fix's own covariance: its number of
-    dimensions, ``nees_dof``, if that is right.
-    """
-    status = np.asarray(fixes.status)
-    there = status <= Status.AMBIGUOUS
-    found: dict[str, Any] = {
-        "epochs": len(status),
-        "fixes": int(there.sum()),
-        **{name.name.lower(): int((status == name).sum()) for name in Status},
-        "redundancy": float(np.asarray(fixes.redundancy)[there].mean()) if there.any() else 0.0,
-        "pdop": _median(np.asarray(fixes.pdop)[there]),
-        "crlb": _median(np.asarray(fixes.crlb)[there]),
-    }
-    if truth is None or known is None or not (judged := there & known).any():
-        return found
-    error = np.asarray(fixes.position)[judged] - truth[judged]
-    far = np.linalg.norm(error, axis=1)
-    white = np.linalg.solve(np.asarray(fixes.cov)[judged], error[..., None])[..., 0]
-    return found | {
-        "rmse": {"position": float(np.sqrt(np.mean(far**2)))},
-        "median": float(np.median(far)),
-        "p95": float(np.quantile(far, 0.95)),
-        "bias": np.mean(error, axis=0).tolist(),
-        "nees": float(np.mean(np.sum(error * white, axis=1))),
-        "nees_dof": error.shape[1],
-    }
-
-
 def residual_rows(fixes: Fix, names: tuple[str, ...]) -> list[list[str]]:
     """By anchor: how often it was used, and the median and spread of its residuals."""
-    left, rows = np.asarray(fixes.residual), []
-    for number, name in enumerate(names):
-        own = left[:, number][np.isfinite(left[:, number])]
-        if len(own) == 0:
+    residuals, rows = np.asarray(fixes.residual), []
+    for name, column in zip(names, residuals.T, strict=True):
+        used = column[np.isfinite(column)]
+        if len(used) == 0:
             rows.append([name, "0", "-", "-"])
             continue
-        low, middle, high = np.quantile(own, [0.16, 0.5, 0.84])
-        rows.append([name, style.count(len(own)), f"{middle:.3f}", f"{(high - low) / 2:.3f}"])
+        low, middle, high = np.quantile(used, [0.16, 0.5, 0.84])
+        rows.append([name, style.count(len(used)), f"{middle:.3f}", f"{(high - low) / 2:.3f}"])
     return rows
 
 
@@ -97,11 +64,11 @@ def plot_fixes(
 @style.styled
 def plot_residuals(time: Float[np.ndarray, " n"], fixes: Fix, names: tuple[str, ...]) -> Any:
     """Draw the residuals of one solver over time, anchor by anchor."""
-    left, count = np.asarray(fixes.residual), len(names)
+    residuals, count = np.asarray(fixes.residual), len(names)
     columns = min(count, 2)
     rows = -(-count // columns)
     axes = style.subplots(rows, columns, 0.6 + 1.3 * rows, sharex=True, sharey=True)
-    for ax, name, values in zip(axes.ravel(), names, left.T, strict=False):
+    for ax, name, values in zip(axes.ravel(), names, residuals.T, strict=False):
         ax.plot(time, values, ".", ms=1.5, color=style.color("filter-1"))
         ax.axhline(0, color=style.color("muted"), lw=0.6)
         ax.set_title(f"anchor {name}")
@@ -112,8 +79,3 @@ def plot_residuals(time: Float[np.ndarray, " n"], fixes: Fix, names: tuple[str, 
     for ax in axes.ravel()[count:]:
         ax.remove()
     return axes[0, 0].figure
-
-
-def _median(values: np.ndarray) -> float:
-    kept = values[np.isfinite(values)]
-    return float(np.median(kept)) if len(kept) else float("nan")

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from kedge.core.manifolds import Space
+from kedge.evaluation.scores import Score
 from kedge.reports import style
 from kedge.reports.drawing import legend, logarithmic
 from kedge.reports.study_curves import NisCurve, coarse
@@ -22,6 +22,7 @@ from kedge.reports.study_lines import (
     short,
     study_looks,
 )
+from kedge.studies.figures_of_merit import StudyScores
 from kedge.studies.summary import BASELINE, Curves, baseline
 
 if TYPE_CHECKING:
@@ -33,24 +34,24 @@ TIME = "time since the start of the run (s)"
 FINE = (0.95, 1.02, 1.05, 1.3)
 MARKS = (0.5, 0.7, 0.8, 0.9, *FINE, 1, 1.1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100)
 """Of ratios; the fine ones where the axis spans little."""
-Filters = Mapping[str, Mapping[str, Any]]
-"""Scores by filter, as in ``summary.json``."""
+Filters = Mapping[str, StudyScores]
 
 
 @style.styled
 def plot_scores(filters: Filters, label: str, factor: float | int = 1) -> Axes:
     """Draw every filter's score with its interval, and what was published beside it."""
     ax = _rows(list(filters), 1)[0]
-    ends = {name: row["score_ci"] for name, row in filters.items()}
-    values = {name: row["score"] for name, row in filters.items()}
-    found = _dots(ax, values, ends, factor)
+    values = _dots(ax, {name: row.score for name, row in filters.items()}, factor)
     ax.plot([], [], "o", color=style.color("ink"), ms=5, label="here, 95 % interval")
-    published = [(row.get("published") or {}).get("rmse") for row in filters.values()]
-    known = [(factor * value, row) for row, value in enumerate(published) if value is not None]
+    known = [
+        (factor * row.published.rmse, place)
+        for place, row in enumerate(filters.values())
+        if row.published is not None
+    ]
     if known:
         ax.plot(*zip(*known, strict=True), "D", color=style.color("ink"), ms=5)
         ax.lines[-1].set(mfc=style.color("paper"), label="published")
-    _scale(ax, [*found, *(value for value, _ in known)])
+    _scale(ax, [*values, *(value for value, _ in known)])
     ax.set_xlabel(label)
     return legend(ax, 3)
 
@@ -63,9 +64,8 @@ def plot_tracking(filters: Filters, shown: Mapping[str, tuple[float, str]]) -> A
     """
     axes = _rows(list(filters), len(shown))
     for ax, (name, (factor, unit)) in zip(axes, shown.items(), strict=True):
-        values = {n: row["tracking"][name] for n, row in filters.items()}
-        ends = {n: row["tracking_ci"][name] for n, row in filters.items()}
-        _scale(ax, _dots(ax, values, ends, factor))
+        scores = {n: row.settled.tracking[name] for n, row in filters.items()}
+        _scale(ax, _dots(ax, scores, factor))
         ax.set_xlabel(f"{style.words(name)}, rms" + f" ({unit})" * bool(unit))
     return axes
 
@@ -81,24 +81,19 @@ def _rows(names: Sequence[str], columns: int) -> Any:
     return axes
 
 
-def _dots(
-    ax: Axes,
-    values: Mapping[str, float | None],
-    intervals: Mapping[str, Sequence[float | None]],
-    factor: float | int,
-) -> list[float]:
+def _dots(ax: Axes, scores: Mapping[str, Score], factor: float | int) -> list[float]:
     """Draw a dot in its interval for each filter that has one; return the dots."""
-    looks, found = study_looks(list(values)), []
-    for row, (name, value) in enumerate(values.items()):
-        if value is None:
+    looks, dots = study_looks(list(scores)), []
+    for row, (name, (value, *interval)) in enumerate(scores.items()):
+        if not np.isfinite(value):
             continue
-        ends = [factor * max(end, 0.0) for end in intervals[name] if end is not None]
-        if len(ends) == 2:
+        if np.isfinite(interval).all():
+            ends = [factor * max(end, 0.0) for end in interval]
             ax.plot(ends, [row, row], color=looks[name].color, lw=2.4, alpha=0.45)
             ax.lines[-1].set_solid_capstyle("butt")
         ax.plot([factor * value], [row], "o", color=looks[name].color, ms=5)
-        found.append(factor * value)
-    return found
+        dots.append(factor * value)
+    return dots
 
 
 def _scale(ax: Axes, values: Sequence[float]) -> None:
@@ -181,15 +176,13 @@ def plot_members(filters: Filters, base: str, of: str) -> Axes:
     ax, looks = style.given(None, 3.6), study_looks(list(filters))
     groups = series(list(filters))
     colours = style.looks(list(groups))
-    for rest, group in groups.items():
+    for kind, group in groups.items():
         sizes = np.array([(members(name) or ("", 0))[1] for name in group], float)
-        scores = [filters[name] for name in group]
-        ratio = _numbers([row["ratio_to_baseline"] for row in scores])
-        ends = _numbers([row["ratio_to_baseline_ci"] for row in scores]).reshape(-1, 2)
-        tint = looks[group[-1]].color if len(groups) > 1 else colours[rest].color
-        for size, (low, high) in zip(sizes.tolist(), ends.tolist(), strict=True):
+        ratios = np.array([filters[name].ratio_to_baseline for name in group])
+        tint = looks[group[-1]].color if len(groups) > 1 else colours[kind].color
+        for size, (low, high) in zip(sizes.tolist(), ratios[:, 1:].tolist(), strict=True):
             ax.plot([size, size], [low, high], color=tint, lw=1.4)
-        ax.plot(sizes, ratio, "o-", color=tint, ms=4.5, lw=1.1, label=rest)
+        ax.plot(sizes, ratios[:, 0], "o-", color=tint, ms=4.5, lw=1.1, label=kind)
     ax.axhline(1, color=looks[base].color, lw=2.6, alpha=0.45, label=base)
     ax.set_xscale("log")
     counts = sorted({sized[1] for n in filters if (sized := members(n)) is not None})
@@ -209,10 +202,6 @@ def _apart(counts: Sequence[int]) -> list[int]:
         if not found or count >= 1.15 * found[-1]:
             found.append(count)
     return found
-
-
-def _numbers(values: Sequence[Any]) -> Float[np.ndarray, "..."]:
-    return np.array(values, dtype=float)  # None becomes NaN
 
 
 def _over_time(ax: Axes, line: Line, time: Any, values: Any, panel: Panel, base: str) -> None:

@@ -24,6 +24,7 @@ from kedge.reports.study_tracks import (
     plot_profile,
     shown_span,
 )
+from kedge.studies.figures_of_merit import StudySummary
 from kedge.studies.scores import Result
 from kedge.studies.study import Study, plan_of
 from kedge.studies.summary import curves
@@ -38,8 +39,7 @@ class StudyContent(NamedTuple):
     """The first run's, by field, at the scored times."""
     readings: Mapping[str, np.ndarray]
     """The first run's readings of fields of the state, by ``sensor.field``."""
-    summary: Mapping[str, Any]
-    """As in ``summary.json``."""
+    summary: StudySummary
     configuration: str
     """The resolved scenario, as text."""
     facts: Mapping[str, str]
@@ -57,10 +57,10 @@ def write_study_report(folder: Path, content: StudyContent) -> Path:
         KedgeError: matplotlib or jinja2 is not installed.
     """
     summary, states = content.summary, _states(content)
-    filters = summary["filters"]
+    filters = summary.filters
     front = Front(
         kicker="kedge · study",
-        title=summary["title"],
+        title=summary.about.title,
         headline=findings.headline(summary, states),
         strip=findings.facts(summary, content.study),
         warnings=findings.warnings(summary),
@@ -78,7 +78,7 @@ def write_study_report(folder: Path, content: StudyContent) -> Path:
         burn_in=f"{burn_in:g}\u00a0s",
         windows=tables.window_tables(filters, states),
         published=tables.published_table(filters, *_unit(content)),
-        expected=tables.band_table(summary.get("expected", ())),
+        expected=tables.band_table(summary.expected),
         marks=tables.MARKS,
         facts=content.facts,
         configuration=content.configuration,
@@ -91,10 +91,10 @@ def study_plates(content: StudyContent) -> Iterator[Plate]:
     yield from _tracking(content)
     yield from _tracks(content)
     yield from _over_time(content)
-    filters = content.summary["filters"]
+    filters = content.summary.filters
     if series(list(filters)):
         first = next(iter(filters.values()))
-        base, of = first["baseline"], style.words(first["score_of"])
+        base, of = first.baseline, style.words(first.score_of)
         axes = figures.plot_members(filters, base, of)
         caption = (
             f"Errors of filters that differ in their number of members, relative to {base} "
@@ -104,26 +104,26 @@ def study_plates(content: StudyContent) -> Iterator[Plate]:
 
 
 def _scores(content: StudyContent) -> Plate:
-    filters = content.summary["filters"]
+    filters = content.summary.filters
     factor, unit = _unit(content)
-    of = content.summary["score"]["of"]
+    of = content.summary.score.of
     what = "time mean of the rms error" if of == "time-mean-rms" else f"{style.words(of)} RMSE"
     axes = figures.plot_scores(filters, f"{what} ({unit or '–'})", factor)
     caption = "Every filter's score over the same runs"
     caption += f", after the first {content.study.burn_in:g}\u00a0s" * bool(
         content.study.burn_in
     )
-    if any(row.get("published") for row in filters.values()):
+    if any(row.published for row in filters.values()):
         caption += "; diamonds: as published, by the sources below"
     return Plate("scores", "scores", f"{caption}.", axes.figure)
 
 
 def _tracking(content: StudyContent) -> Iterator[Plate]:
     """How well each filter's loop kept to the route, if the world says."""
-    filters, states = content.summary["filters"], _states(content)
+    filters, states = content.summary.filters, _states(content)
     units = dict(zip(states.slices(), (states.units[c.start] for c in states.slices().values()),
                      strict=True))  # fmt: skip
-    names = next(iter(filters.values())).get("tracking", {})
+    names = next(iter(filters.values())).settled.tracking
     if not names or not content.study.scenario.each_in_its_loop:
         return
     shown = {name: style.shown(units[name]) if name in units else (1.0, "") for name in names}
@@ -196,7 +196,7 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
             caption = "The first run from the side: height over the way covered in plan."
             yield Plate("profile", "track", caption, plot_profile(where).figure)
     shown = 0
-    first = content.summary["score"]["of"]
+    first = content.summary.score.of
     ordered = sorted(found, key=lambda track: (track.name != first, not track.seen))
     for track in [where] if where is not None else ordered:
         cut, part = states.slices()[track.name], shown_span(track)
@@ -222,7 +222,7 @@ def _over_time(content: StudyContent) -> Iterator[Plate]:
     found = {n: curves(study, plan, r) for n, r in content.results.items() if r.sums.total > 0}
     if not found:
         return
-    runs = style.count(content.summary["runs"])
+    runs = style.count(content.summary.about.runs)
     each = study.score == "time-mean-rms"
     axes = figures.plot_error(found, states, each)
     yield Plate(

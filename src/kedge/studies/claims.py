@@ -2,13 +2,16 @@
 
 import math
 import operator
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 from kedge.core.conditions import Comparison, Term, parse_condition, parse_term
+from kedge.evaluation.record import by_name
+from kedge.evaluation.scores import Score
+from kedge.studies.figures_of_merit import StudyScores
 from kedge.studies.scores import Result
 from kedge.studies.study import Study
-from kedge.studies.summary import Interval, compare
+from kedge.studies.summary import compare
 
 TRUE, FALSE, OPEN = "true", "false", "not decided by these runs"
 RELATIONS: dict[str, Callable[[float, float], bool]] = {
@@ -20,12 +23,11 @@ RELATIONS: dict[str, Callable[[float, float], bool]] = {
 
 
 class Evidence(NamedTuple):
-    """What a study found, to judge by."""
+    """What a study came to, to judge by."""
 
     study: Study
     results: Mapping[str, Result]
-    filters: Mapping[str, Mapping[str, Any]]
-    """The scores by filter, as in ``summary.json``."""
+    filters: Mapping[str, StudyScores]
 
 
 class Judgement(NamedTuple):
@@ -48,23 +50,23 @@ def judge(condition: str, evidence: Evidence) -> Judgement:
     """
     if not condition:
         return Judgement(OPEN, "this study does not test it")
-    found = [_compared(comparison, evidence) for comparison in parse_condition(condition)]
-    verdicts = [one.verdict for one in found]
+    parts = [_compared(comparison, evidence) for comparison in parse_condition(condition)]
+    verdicts = [part.verdict for part in parts]
     whole = FALSE if FALSE in verdicts else OPEN if OPEN in verdicts else TRUE
-    return Judgement(whole, "; ".join(one.figures for one in found))
+    return Judgement(whole, "; ".join(part.figures for part in parts))
 
 
-def look_up(score: str, evidence: Evidence) -> Interval | None:
+def look_up(score: str, evidence: Evidence) -> Score | None:
     """A score with its interval; None if these filters do not have it.
 
     Raises:
         ConfigError: the score's name cannot be understood.
     """
-    found = _value(parse_term(score), evidence)
-    return None if isinstance(found, str) else found
+    value = _value(parse_term(score), evidence)
+    return None if isinstance(value, str) else value
 
 
-def judge_band(score: str, low: float, high: float, evidence: Evidence) -> Judgement:
+def judge_band(score: str, between: Sequence[float], evidence: Evidence) -> Judgement:
     """Judge whether a score lies where it is expected to.
 
     True if the score itself lies in the band, false if not even its interval reaches it.
@@ -72,16 +74,15 @@ def judge_band(score: str, low: float, high: float, evidence: Evidence) -> Judge
     Raises:
         ConfigError: the score's name cannot be understood.
     """
-    term = parse_term(score)
-    found = _value(term, evidence)
-    if isinstance(found, str):
-        return Judgement(OPEN, found)
-    if low <= found.mean <= high:
+    value, (low, high) = _value(parse_term(score), evidence), between
+    if isinstance(value, str):
+        return Judgement(OPEN, value)
+    if low <= value.value <= high:
         verdict = TRUE
     else:
-        reaches = found.lower <= high and found.upper >= low
-        verdict = OPEN if reaches or math.isnan(found.lower) else FALSE
-    return Judgement(verdict, f"{_shown(found)}, expected {low:g} to {high:g}")
+        reaches = value.lower <= high and value.upper >= low
+        verdict = OPEN if reaches or math.isnan(value.lower) else FALSE
+    return Judgement(verdict, f"{_shown(value)}, expected {low:g} to {high:g}")
 
 
 def _compared(comparison: Comparison, evidence: Evidence) -> Judgement:
@@ -102,8 +103,8 @@ def _compared(comparison: Comparison, evidence: Evidence) -> Judgement:
             figures += f", asked for {relation} {factor:g}"
         return Judgement(_decided(paired, relation, factor), figures)
     ends = sorted((factor * second.lower, factor * second.upper))
-    gap = Interval(
-        first.mean - factor * second.mean, first.lower - ends[1], first.upper - ends[0]
+    gap = Score(
+        first.value - factor * second.value, first.lower - ends[1], first.upper - ends[0]
     )
     figures = (
         f"{left.filter} {left.score} {_shown(first)}, "
@@ -112,52 +113,39 @@ def _compared(comparison: Comparison, evidence: Evidence) -> Judgement:
     return Judgement(_decided(gap, relation, 0.0), figures)
 
 
-def _decided(value: Interval, relation: str, bound: float) -> str:
+def _decided(value: Score, relation: str, bound: float) -> str:
     if not all(math.isfinite(number) for number in value):
         return OPEN
     ends = {RELATIONS[relation](end, bound) for end in value[1:]}
     return OPEN if len(ends) > 1 else TRUE if True in ends else FALSE
 
 
-def _paired(left: Term, right: Term, evidence: Evidence) -> Interval | None:
+def _paired(left: Term, right: Term, evidence: Evidence) -> Score | None:
     """The ratio of two errors over the same runs, where both are the same kind of error."""
     if left.score != right.score:
         return None
     whole = left.score.startswith("all_steps.")
     name = left.score.removeprefix("all_steps.").removeprefix("rmse.").replace("_", "-")
     if name == "score":
-        name = evidence.filters[left.filter]["score_of"]
+        name = evidence.filters[left.filter].score_of
     results = (evidence.results[term.filter] for term in (left, right))
     ratios = compare(evidence.study, *results, whole=whole)
     return {key.replace("_", "-"): ratio for key, ratio in ratios.items()}.get(name)
 
 
-def _value(term: Term, evidence: Evidence) -> Interval | str:
+def _value(term: Term, evidence: Evidence) -> Score | str:
     """A score with its interval (itself twice where it has none), or why there is none."""
     if term.filter not in evidence.filters:
         return f"{term.filter} is not among the filters of this study"
-    keys = term.score.split(".")
-    if keys[0] == "ratio":
-        keys[0] = "ratio_to_baseline"
-    scores = evidence.filters[term.filter]
-    value = _found(scores, keys)
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    first, *others = term.score.split(".")
+    name = ".".join(["ratio_to_baseline" if first == "ratio" else first, *others])
+    value = by_name(evidence.filters[term.filter]).get(name)
+    if value is None or math.isnan(value.value):
         return f"{term.filter} has no score called {term.score}"
-    for place in range(len(keys)):
-        ends = _found(scores, [*keys[:place], f"{keys[place]}_ci", *keys[place + 1 :]])
-        if isinstance(ends, list | tuple):
-            low, high = (math.nan if end is None else float(end) for end in ends)
-            return Interval(float(value), low, high)
-    return Interval(float(value), float(value), float(value))
+    return value
 
 
-def _found(scores: Any, keys: list[str]) -> Any:
-    for key in keys:
-        scores = scores.get(key) if isinstance(scores, Mapping) else None
-    return scores
-
-
-def _shown(value: Interval) -> str:
+def _shown(value: Score) -> str:
     if value.lower == value.upper:
-        return f"{value.mean:.4g}"
-    return f"{value.mean:.4g} [{value.lower:.4g}, {value.upper:.4g}]"
+        return f"{value.value:.4g}"
+    return f"{value.value:.4g} [{value.lower:.4g}, {value.upper:.4g}]"

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,20 +11,14 @@ from scipy.special import betaincinv, stdtrit
 
 from kedge.core.manifolds import Space, space_of
 from kedge.evaluation.consistency import chi_square_interval
+from kedge.evaluation.scores import Score
+from kedge.studies.figures_of_merit import MeansOverTime, StudyScores, WindowScores
 from kedge.studies.scores import Result, RunScores, TimeSums, finite
 from kedge.studies.study import Plan, Study, plan_of
 
 BASELINE = "kalman"
 REPLICATES = 2000
 """Of the bootstrap."""
-
-
-class Interval(NamedTuple):
-    """A mean over independent runs with its 95 % confidence interval (NaN for one run)."""
-
-    mean: float
-    lower: float
-    upper: float
 
 
 class Curves(NamedTuple):
@@ -40,27 +35,13 @@ class Curves(NamedTuple):
     nis_bounds: tuple[Float[np.ndarray, " E"], Float[np.ndarray, " E"]]
 
 
-def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, dict[str, Any]]:
-    """The scores of all filters for ``summary.json``, with ratios to the baseline."""
-    base = baseline(list(results))
-    found = {name: summarise(study, result) for name, result in results.items()}
-    for name, result in results.items():
-        ratios = compare(study, result, results[base])
-        of = found[name]["score_of"]
-        found[name] |= {
-            "baseline": base,
-            "ratio_to_baseline": ratios[of].mean,
-            "ratio_to_baseline_ci": list(ratios[of][1:]),
-            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
-            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
-        }
-        found[name]["by_time"] = by_time(study, result, results[base])
-        ratios = compare(study, result, results[base], whole=True)
-        found[name]["all_steps"] |= {
-            "ratios": {key: ratio.mean for key, ratio in ratios.items()},
-            "ratios_ci": {key: list(ratio[1:]) for key, ratio in ratios.items()},
-        }
-    return found
+def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, StudyScores]:
+    """The scores of all filters, with ratios to the baseline."""
+    base, plan = baseline(list(results)), plan_of(study)
+    return {
+        name: summarise(study, result, plan, results[base], base)
+        for name, result in results.items()
+    }
 
 
 def baseline(names: Sequence[str]) -> str:
@@ -68,37 +49,40 @@ def baseline(names: Sequence[str]) -> str:
     return BASELINE if BASELINE in names else names[0]
 
 
-def summarise(study: Study, result: Result) -> dict[str, Any]:
-    """The scores of one filter: each with its 95 % interval over runs.
+def summarise(
+    study: Study,
+    result: Result,
+    plan: Plan | None = None,
+    other: Result | None = None,
+    base: str = BASELINE,
+) -> StudyScores:
+    """The scores of one filter with 95 % intervals over runs, and ratios to those of ``other``.
 
-    ``tracking`` has the root mean squares of what the scenario's world watches.
-    ``all_steps`` has them without a burn-in. Runs that came out not finite are left out and
-    counted as ``failed``.
+    Runs that came out not finite are left out and counted as ``failed``.
     """
     good, states = finite(result), _states(study)
+    plan, other = plan or plan_of(study), result if other is None else other
     mean = interval(np.asarray(result.runs.time_mean_rms)[good])
-    found = _window(study, result.runs, good)
-    if study.score == "pooled":
-        headline = _headline(study)
-        score, score_ci = found["rmse"][headline], found["rmse_ci"][headline]
-    else:
-        headline, score, score_ci = study.score, mean.mean, list(mean[1:])
-    return {
-        "score": score,
-        "score_ci": score_ci,
-        "score_of": headline,
-        **found,
-        "time_mean_rms": mean.mean,
-        "time_mean_rms_ci": list(mean[1:]),
-        "nees_dof": states.size,
-        "all_steps": _window(study, result.whole, good),
-        "runs": len(good),
-        "failed": int((~good).sum()),
-        "seconds": result.seconds,
-        "seconds_per_run": result.seconds / len(good),
-        "compile_seconds": result.compile_seconds,
-        "compiler": result.compiler,
-    }
+    settled = _window(study, result.runs, good, compare(study, result, other))
+    headline = _headline(study) if study.score == "pooled" else study.score
+    return StudyScores(
+        score=settled.rmse[headline] if study.score == "pooled" else mean,
+        score_of=headline,
+        settled=settled,
+        time_mean_rms=mean,
+        nees_dof=states.size,
+        all_steps=_window(study, result.whole, good, compare(study, result, other, whole=True)),
+        runs=len(good),
+        failed=int((~good).sum()),
+        seconds=result.seconds,
+        seconds_per_run=result.seconds / len(good),
+        compile_seconds=result.compile_seconds,
+        compiler=result.compiler,
+        baseline=base,
+        ratio_to_baseline=settled.ratios[headline],
+        by_time=by_time(study, result, other),
+        windows=windows(study, plan, result) if result.windows else {},
+    )
 
 
 def blank(study: Study) -> Result:
@@ -126,7 +110,7 @@ def blank(study: Study) -> Result:
 
 def compare(
     study: Study, result: Result, other: Result, whole: bool = False
-) -> dict[str, Interval]:
+) -> dict[str, Score]:
     r"""Ratios of one filter's scores to another's over the same runs, by field and component.
 
     $\sqrt{\sum_i m_i / \sum_i m'_i}$ with $m_i$, $m'_i$ the mean squared errors of run i; the
@@ -139,19 +123,19 @@ def compare(
     """
     good = finite(result) & finite(other)
     cuts = parts_of(_states(study))
-    left, right = (r.whole if whole else r.runs for r in (result, other))
+    both = [r.whole if whole else r.runs for r in (result, other)]
     columns = {}
     for name, cut in cuts.items():
-        pair = (np.asarray(s.squared)[good][:, cut].sum(axis=1) for s in (left, right))
+        pair = (np.asarray(s.squared)[good][:, cut].sum(axis=1) for s in both)
         columns[name] = (*pair, 0.5)
     for number, name in enumerate(_watches(study)):
-        pair = (np.asarray(s.tracked)[good][:, number] for s in (left, right))
+        pair = (np.asarray(s.tracked)[good][:, number] for s in both)
         columns[f"tracking.{name}"] = (*pair, 0.5)
-    pair = (np.asarray(s.time_mean_rms)[good] for s in (left, right))
+    pair = (np.asarray(s.time_mean_rms)[good] for s in both)
     columns["time-mean-rms"] = (*pair, 1.0)
     count = int(good.sum())
     if not count:
-        return dict.fromkeys(columns, Interval(float("nan"), float("nan"), float("nan")))
+        return dict.fromkeys(columns, Score(math.nan))
     table = np.stack([column for pair in columns.values() for column in pair[:2]], axis=1)
     powers = np.array([power for *_, power in columns.values()])
 
@@ -171,10 +155,10 @@ def compare(
         ]
         lower, upper = np.quantile(np.stack(again), [0.025, 0.975], axis=0)
     rows = zip(columns, middle.tolist(), lower.tolist(), upper.tolist(), strict=True)
-    return {name: Interval(*row) for name, *row in rows}
+    return {name: Score(*row) for name, *row in rows}
 
 
-def by_time(study: Study, result: Result, other: Result) -> dict[str, dict[str, float]]:
+def by_time(study: Study, result: Result, other: Result) -> MeansOverTime:
     """Means over times after the burn-in: of the RMSE over runs, and of its ratio to another's.
 
     Where each time is an experiment of its own, such as a place at which a tag was put down,
@@ -185,13 +169,13 @@ def by_time(study: Study, result: Result, other: Result) -> dict[str, dict[str, 
         np.sqrt(np.asarray(r.sums.squared)[settled] / max(int(r.sums.total), 1))
         for r in (result, other)
     ]
-    found: dict[str, dict[str, float]] = {"rmse": {}, "ratio": {}}
+    rmse, ratio = {}, {}
     for name, cut in _states(study).slices().items():
-        own, base = (np.linalg.norm(root[:, cut], axis=1) for root in roots)
-        found["rmse"][name] = float(own.mean())
+        errors, base = (np.linalg.norm(root[:, cut], axis=1) for root in roots)
+        rmse[name] = float(errors.mean())
         with np.errstate(invalid="ignore", divide="ignore"):
-            found["ratio"][name] = float((own / base).mean())
-    return found
+            ratio[name] = float((errors / base).mean())
+    return MeansOverTime(rmse, ratio)
 
 
 def curves(study: Study, plan: Plan, result: Result) -> Curves:
@@ -204,12 +188,12 @@ def curves(study: Study, plan: Plan, result: Result) -> Curves:
     count = max(int(sums.total), 1)
     squared = np.asarray(sums.squared) / count
     dof, fused = np.asarray(sums.nis_dof), np.asarray(sums.nis_count)
-    there = dof > 0
+    judged = dof > 0
     # Few readings differ in how many there are and how large: find each bound once.
-    kinds, kind = np.unique(np.stack([dof, fused], 1)[there], axis=0, return_inverse=True)
+    kinds, kind = np.unique(np.stack([dof, fused], 1)[judged], axis=0, return_inverse=True)
     bounds = [chi_square_interval(d / n, int(n)) for d, n in kinds.tolist()]
     ends = np.array(bounds).reshape(-1, 2)[kind.ravel()]
-    each = (dof / np.maximum(fused, 1))[there]
+    each = (dof / np.maximum(fused, 1))[judged]
     return Curves(
         time=plan.time,
         rmse={
@@ -217,42 +201,44 @@ def curves(study: Study, plan: Plan, result: Result) -> Curves:
         },
         nees=np.asarray(sums.nees) / count,
         nees_bounds=chi_square_interval(states.size, count),
-        nis_time=plan.sensed_time[there],
-        nis=np.asarray(sums.nis)[there] / dof[there],
+        nis_time=plan.sensed_time[judged],
+        nis=np.asarray(sums.nis)[judged] / dof[judged],
         nis_bounds=(ends[:, 0] / each, ends[:, 1] / each),
     )
 
 
-def windows(study: Study, plan: Plan, result: Result) -> dict[str, dict[str, Any]]:
+def windows(study: Study, plan: Plan, result: Result) -> dict[str, WindowScores]:
     """The scores over each of the study's windows, and over the rest after the burn-in.
 
     ``nis_per_dof`` is that of all sensors together, per degree of freedom.
     """
-    good, sums, found = finite(result), result.sums, {}
+    good, sums, scores = finite(result), result.sums, {}
     for name, window in plan.windows.items():
         freedom = float(np.asarray(sums.nis_dof)[window.sensed].sum())
         nis = float(np.asarray(sums.nis)[window.sensed].sum())
-        found[name] = _window(study, result.windows[name], good)
-        found[name]["nis_per_dof"] = nis / freedom if freedom else float("nan")
-    return found
+        scores[name] = replace(
+            _window(study, result.windows[name], good),
+            nis_per_dof=nis / freedom if freedom else math.nan,
+        )
+    return scores
 
 
-def interval(values: Float[np.ndarray | Array, " runs"]) -> Interval:
+def interval(values: Float[np.ndarray | Array, " runs"]) -> Score:
     r"""The mean of independent values and $\bar x \pm t_{n-1} \, s / \sqrt n$.
 
     Source: Student, "The probable error of a mean", Biometrika 6(1), 1908.
     """
     count = len(values)
     if count == 0:
-        return Interval(float("nan"), float("nan"), float("nan"))
+        return Score(math.nan)
     mean = float(np.mean(values))
     if count == 1:
-        return Interval(mean, float("nan"), float("nan"))
+        return Score(mean)
     half = float(stdtrit(count - 1, 0.975) * np.std(values, ddof=1) / np.sqrt(count))
-    return Interval(mean, mean - half, mean + half)
+    return Score(mean, mean - half, mean + half)
 
 
-def share(values: Float[np.ndarray, " runs"]) -> Interval:
+def share(values: Float[np.ndarray, " runs"]) -> Score:
     r"""The mean of shares, one a run, and the exact interval of so many yes-or-no trials.
 
     $B^{-1}_{\alpha/2}(k, n - k + 1)$ to $B^{-1}_{1-\alpha/2}(k + 1, n - k)$ with the sum k of
@@ -264,66 +250,56 @@ def share(values: Float[np.ndarray, " runs"]) -> Interval:
     """
     count, total = len(values), float(np.sum(values))
     if not count or not math.isfinite(total):
-        return Interval(math.nan, math.nan, math.nan)
-    rest = max(count - total, 0.0)
-    lower = float(betaincinv(total, rest + 1, 0.025)) if total > 0 else 0.0
-    upper = float(betaincinv(total + 1, rest, 0.975)) if rest > 0 else 1.0
-    return Interval(total / count, lower, upper)
+        return Score(math.nan)
+    outside = max(count - total, 0.0)
+    lower = float(betaincinv(total, outside + 1, 0.025)) if total > 0 else 0.0
+    upper = float(betaincinv(total + 1, outside, 0.975)) if outside > 0 else 1.0
+    return Score(total / count, lower, upper)
 
 
-def _within(states: Space, shares: Float[np.ndarray, "runs n"]) -> dict[str, Interval]:
+def _within(states: Space, shares: Float[np.ndarray, "runs n"]) -> dict[str, Score]:
     """Shares of times within 3 standard deviations; of a field that of its worst component."""
     each = [share(column) for column in shares.T]
     return {
-        name: min(each[cut], key=lambda found: found.mean)
+        name: min(each[cut], key=lambda score: score.value)
         for name, cut in parts_of(states).items()
     }
 
 
-def _window(study: Study, scores: RunScores, good: np.ndarray) -> dict[str, Any]:
+def _window(
+    study: Study, scores: RunScores, good: np.ndarray, ratios: Mapping[str, Score] | None = None
+) -> WindowScores:
     """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
     squared, tracked = (np.asarray(s)[good] for s in (scores.squared, scores.tracked))
-    found: dict[str, Any] = _roots(
-        "rmse", {n: squared[:, cut].sum(axis=1) for n, cut in parts_of(_states(study)).items()}
-    )
-    if names := _watches(study):
-        found |= _roots("tracking", {name: tracked[:, i] for i, name in enumerate(names)})
-    nees = interval(np.asarray(scores.nees)[good])
-    singular = float(np.mean(np.asarray(scores.singular)[good])) if good.any() else math.nan
-    found |= {"nees": nees.mean, "nees_ci": list(nees[1:]), "singular": singular}
-    by_sensor: dict[str, dict[str, Any]] = {"nis": {}, "nis_ci": {}, "nis_dof": {}}
+    nis, nis_dof = {}, {}
     for number, installation in enumerate(study.scenario.rig.sensors):
         values = np.asarray(scores.nis)[good][:, number]
         dofs = np.asarray(scores.nis_dof)[good][:, number]
         fused = np.isfinite(values)
-        nis = interval(values[fused])
-        by_sensor["nis"][installation.name] = nis.mean
-        by_sensor["nis_ci"][installation.name] = list(nis[1:])
-        by_sensor["nis_dof"][installation.name] = interval(dofs[fused]).mean
-    coverage = interval(np.asarray(scores.coverage)[good])
-    within = _within(_states(study), np.asarray(scores.within)[good])
-    return (
-        found
-        | by_sensor
-        | {
-            "coverage_95": coverage.mean,
-            "coverage_95_ci": list(coverage[1:]),
-            "within_3_sigma": {name: found.mean for name, found in within.items()},
-            "within_3_sigma_ci": {name: list(found[1:]) for name, found in within.items()},
-        }
+        nis[installation.name] = interval(values[fused])
+        nis_dof[installation.name] = interval(dofs[fused]).value
+    return WindowScores(
+        rmse={
+            name: _root(interval(squared[:, cut].sum(axis=1)))
+            for name, cut in parts_of(_states(study)).items()
+        },
+        tracking={
+            name: _root(interval(tracked[:, i])) for i, name in enumerate(_watches(study))
+        },
+        nees=interval(np.asarray(scores.nees)[good]),
+        singular=interval(np.asarray(scores.singular)[good]).value,
+        nis=nis,
+        nis_dof=nis_dof,
+        coverage_95=interval(np.asarray(scores.coverage)[good]),
+        within_3_sigma=_within(_states(study), np.asarray(scores.within)[good]),
+        ratios=ratios or {},
     )
 
 
-def _roots(key: str, squared: Mapping[str, Float[np.ndarray, " runs"]]) -> dict[str, Any]:
-    """Roots of means over runs, and of the ends of their intervals, by name."""
-    means = {name: interval(values) for name, values in squared.items()}
-    return {
-        key: {name: float(np.sqrt(mean.mean)) for name, mean in means.items()},
-        f"{key}_ci": {
-            name: [float(np.sqrt(max(end, 0.0))) for end in mean[1:]]
-            for name, mean in means.items()
-        },
-    }
+def _root(score: Score) -> Score:
+    """The root of a mean and of the ends of its interval."""
+    lower, upper = (float(np.sqrt(max(end, 0.0))) for end in score[1:])
+    return Score(float(np.sqrt(score.value)), lower, upper)
 
 
 def _watches(study: Study) -> tuple[str, ...]:
