@@ -53,7 +53,8 @@ def test_a_score_has_its_interval_beside_it():
 
 
 def test_a_mapping_among_the_fields_of_its_owner_may_be_empty():
-    assert record(TargetScores(2, 1, {})) == {"readings": 2, "gated": 1}
+    targets = {"a": TargetScores(2, 1, {})}
+    assert record(targets) == {"a": {"readings": 2, "gated": 1}}
     residual = {"range": ResidualScore(0.0, 1.0, 0.5)}
     target = record(TargetScores(2, 1, residual))
     assert target["range"] == {"median": 0.0, "spread": 1.0, "standardised": 0.5}

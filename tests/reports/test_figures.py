@@ -8,7 +8,7 @@ from kedge.core.manifolds import space
 from kedge.estimation.batch import estimate
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.score import score
-from kedge.reports import diagnostics, figures, style
+from kedge.reports import diagnostics, figures, maps, style
 from kedge.reports.drawing import ellipses, envelope, thinned
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
@@ -36,8 +36,8 @@ def draw(name, problem):
     rig, recording, truth, runs = problem
     of_sensor = (runs[1], recording, rig, "camera")
     found = {
-        "map": lambda: figures.plot_map(runs, truth, TARGETS),
-        "maps": lambda: figures.plot_maps(runs, truth, TARGETS),
+        "map": lambda: maps.plot_map(runs, truth, TARGETS),
+        "maps": lambda: maps.plot_maps(runs, truth, TARGETS),
         "distance": lambda: figures.plot_distance(runs),
         "errors": lambda: figures.plot_errors(runs[1]),
         "states": lambda: figures.plot_states(runs[1]._replace(errors=None)),
@@ -83,10 +83,10 @@ def test_map_cuts_off_what_strays(problem):
     far = drift.track.mean._replace(position=drift.track.mean.position + 1e4)
     drift = drift._replace(track=drift.track._replace(mean=far))
 
-    ax = figures.plot_map([drift, good], truth, {})
+    ax = maps.plot_map([drift, good], truth, {})
 
-    assert figures.leaves(drift, ax)
-    assert not figures.leaves(good, ax)
+    assert maps.leaves(drift, ax)
+    assert not maps.leaves(good, ax)
 
 
 def test_given_axes_are_used_and_global_settings_left_alone(problem):
@@ -96,7 +96,7 @@ def test_given_axes_are_used_and_global_settings_left_alone(problem):
     before = dict(matplotlib.rcParams)
     ax = style.subplots(1, 2)[0, 1]
 
-    assert figures.plot_map(runs, truth, {}, ax) is ax
+    assert maps.plot_map(runs, truth, {}, ax) is ax
     assert diagnostics.plot_nis(runs[1], recording, rig, "camera", ax) is ax
     assert dict(matplotlib.rcParams) == before
 
@@ -148,7 +148,7 @@ def test_ellipses_hold_the_share_they_claim(problem):
 def test_an_ellipse_that_is_larger_than_the_view_does_not_fill_it(problem, factor, filled):
     _, _, truth, (_, run, *_) = problem
     track = run.track._replace(cov=factor * run.track.cov)
-    ax = figures.plot_map([run._replace(track=track)], truth, {})
+    ax = maps.plot_map([run._replace(track=track)], truth, {})
     assert {patch.get_facecolor()[3] > 0 for patch in ax.patches} == {filled}
 
 

@@ -53,11 +53,11 @@ def test_a_file_of_ones_own(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("Yvv = -131", "Yww = -131", "sway.Yww: no coefficient called 'Yww'"),
-        ("Yvv = -131", "Yww = -131", "mine.toml: Yvv: this coefficient is missing"),
-        ("Yvv = -131", "", "Yvv: this coefficient is missing"),
-        ("Yvv = -131", "Yvv = true", "sway.Yvv: found True, expected a finite number"),
-        ("Yvv = -131", "Yvv = nan", "sway.Yvv: found nan"),
+        ("Yvv = -131.0", "Yww = -131", "sway.Yww: no coefficient called 'Yww'"),
+        ("Yvv = -131.0", "Yww = -131", "mine.toml: Yvv: this coefficient is missing"),
+        ("Yvv = -131.0", "", "Yvv: this coefficient is missing"),
+        ("Yvv = -131.0", "Yvv = true", "sway.Yvv: found True, expected a finite number"),
+        ("Yvv = -131.0", "Yvv = nan", "sway.Yvv: found nan"),
         (
             "Yvdot = -35.5",
             "Yvdot = 35.5",

@@ -22,7 +22,7 @@ from kedge.core.manifolds import charts_of
 from kedge.core.registry import unknown
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import SECOND
-from kedge.evaluation.fixes import FixScores, LocateSummary, score_fixes
+from kedge.evaluation.fix_scores import FixScores, LocateSummary, score_fixes
 from kedge.evaluation.record import record
 from kedge.evaluation.score import truth_at
 from kedge.formats.results import as_toml, digest, write_csv, write_summary, write_table

@@ -1,6 +1,5 @@
 """What ``kedge study`` and ``kedge merge`` leave and print."""
 
-import csv
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ from kedge.apps.summaries import facts_of, provenance
 from kedge.config.scenarios import Setting
 from kedge.evaluation.record import by_name, record
 from kedge.evaluation.scores import Score
-from kedge.formats.results import as_toml, digest, plain, write_summary, write_table
+from kedge.formats.results import as_toml, digest, plain, write_csv, write_summary, write_table
 from kedge.reports import study_findings as findings
 from kedge.reports.findings import said
 from kedge.reports.study_report import StudyContent
@@ -207,12 +206,14 @@ def _shown(value: float | None, form: str = ".3g") -> str:
 
 
 def _write_runs(path: Path, results: Mapping[str, Result]) -> None:
-    """One row a run and filter, for statistics of one's own; written as they are made."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["filter", "run", "time_mean_rms", "mean_squared_error", "nees"])
-        for name, (runs, *_) in results.items():
-            squared = np.asarray(runs.squared).sum(axis=1)
-            columns = np.asarray(runs.time_mean_rms), squared, np.asarray(runs.nees)
-            for run, row in enumerate(zip(*columns, strict=True)):
-                writer.writerow([name, run, *(float(x) if np.isfinite(x) else "" for x in row)])
+    """One row a run and filter, for statistics of one's own."""
+    scores = [result.runs for result in results.values()]
+    counts = [len(runs.nees) for runs in scores]
+    columns = {
+        "filter": np.repeat(list(results), counts),
+        "run": np.concatenate([np.arange(count) for count in counts]),
+        "time_mean_rms": np.concatenate([runs.time_mean_rms for runs in scores]),
+        "mean_squared_error": np.concatenate([runs.squared.sum(axis=1) for runs in scores]),
+        "nees": np.concatenate([runs.nees for runs in scores]),
+    }
+    write_csv(path, columns)

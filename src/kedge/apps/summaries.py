@@ -8,7 +8,7 @@ from typing import Any
 
 from kedge import __version__
 from kedge.estimation.compiled import compiler
-from kedge.evaluation.fixes import LocateSummary
+from kedge.evaluation.fix_scores import LocateSummary
 from kedge.evaluation.record import schema
 from kedge.evaluation.scores import LogSummary, Provenance
 from kedge.formats.results import digest

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from kedge.calibration.anchors import usable_pairs
 from kedge.core.errors import DataError
+from kedge.evaluation.trajectory import umeyama
 
 STEPS = 200
 
@@ -123,13 +124,10 @@ def aligned(
 ) -> Float[np.ndarray, "m 2"]:
     """Moved and turned, not scaled, as near to ``truth`` as can be.
 
-    Source: S. Umeyama, "Least-squares estimation of transformation parameters between two point
-    patterns", IEEE Transactions on Pattern Analysis and Machine Intelligence 13(4), 1991.
+    Raises:
+        DataError: all places are one.
     """
-    centre, goal = places.mean(axis=0), truth.mean(axis=0)
-    u, _, vt = np.linalg.svd((places - centre).T @ (truth - goal))
-    turn = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return (places - centre) @ turn + goal
+    return umeyama(places, truth, scaled=False).points(places)
 
 
 def _scaled(

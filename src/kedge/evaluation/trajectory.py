@@ -68,8 +68,12 @@ class Motion(NamedTuple):
         size, turn, turns = len(self.rotation), np.eye(3), _rotations(trajectory)
         turn[:size, :size] = self.rotation
         turns = None if turns is None else Rotation.from_matrix(turn) * turns
-        position = self.scale * trajectory.position @ self.rotation.T + self.translation[None]
+        position = self.points(trajectory.position)
         return Trajectory(trajectory.time, position, _oriented(turns, size))
+
+    def points(self, points: Float[np.ndarray, "T d"]) -> Float[np.ndarray, "T d"]:
+        """Move points."""
+        return self.scale * points @ self.rotation.T + self.translation[None]
 
 
 def associate(
@@ -142,14 +146,14 @@ def umeyama(
     patterns", IEEE Trans. Pattern Analysis and Machine Intelligence 13(4), 1991, section III.
     """
     spread, goal = source - source.mean(0)[None], target - target.mean(0)[None]
-    left, stretch, right = np.linalg.svd(goal.T @ spread / len(source))
+    u, stretch, vt = np.linalg.svd(goal.T @ spread / len(source))
     rounding = 4 * np.finfo(float).eps * max(abs(source).max(), abs(target).max())
     if stretch[-2] <= 1e-12 * stretch[0] + rounding**2:
         raise DataError("the positions lie on one spot or one line: they fix no alignment")
     # The last sign keeps R a rotation where a reflection would fit better.
     signs = np.ones_like(stretch)
-    signs[-1] = np.sign(np.linalg.det(left @ right))
-    turn = left @ np.diag(signs) @ right
+    signs[-1] = np.sign(np.linalg.det(u @ vt))
+    turn = u @ np.diag(signs) @ vt
     scale = float(stretch @ signs / np.mean(np.sum(spread**2, axis=1))) if scaled else 1.0
     return Motion(turn, target.mean(0) - scale * turn @ source.mean(0), scale)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import tomli_w
 from jaxtyping import Int
 
 from kedge.core.beliefs import Gaussian
@@ -107,26 +108,17 @@ def flatten(scores: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, 
             yield f"{prefix}{key}", value
 
 
-def as_toml(table: Mapping[str, Any], prefix: str = "") -> str:
-    """A resolved configuration as TOML: plain values first, then a table for each mapping."""
-    lines = [
-        f"{_key(k)} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, Mapping)
-    ]
-    for key, value in table.items():
-        if isinstance(value, Mapping) and value:
-            lines += ["", f"[{prefix}{_key(key)}]"] if _has_plain(value) else []
-            lines.append(as_toml(value, f"{prefix}{_key(key)}."))
-    return "\n".join(lines).strip("\n") + ("" if prefix else "\n")
+def as_toml(table: Mapping[str, Any]) -> str:
+    """A resolved configuration as TOML; TOML has no null, so what is None is left out."""
+    return tomli_w.dumps(_without_null(table))
 
 
-def _key(name: str) -> str:
-    """A key as TOML wants it: quoted unless it is a bare word."""
-    bare = name.isascii() and name.replace("_", "a").replace("-", "a").isalnum()
-    return name if bare else json.dumps(name)
-
-
-def _has_plain(table: Mapping[str, Any]) -> bool:
-    return any(not isinstance(value, Mapping) for value in table.values())
+def _without_null(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _without_null(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_without_null(item) for item in value]
+    return value
 
 
 def digest(*parts: Any) -> str:

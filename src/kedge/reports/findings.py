@@ -15,7 +15,8 @@ from kedge.evaluation.health import concerns
 from kedge.evaluation.score import Run
 from kedge.reports import style
 from kedge.reports.drawing import without_fused
-from kedge.reports.figures import main_field, rivals
+from kedge.reports.figures import main_field
+from kedge.reports.maps import rivals
 
 # Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
 HONEST, CAUTIOUS = 0.85, 0.99

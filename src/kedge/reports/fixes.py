@@ -9,6 +9,7 @@ from jaxtyping import Float
 from kedge.positioning.fix import Fix
 from kedge.reports import style
 from kedge.reports.drawing import legend
+from kedge.reports.maps import arena, draw_targets, map_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,14 +39,7 @@ def plot_fixes(
 ) -> Any:
     """Draw all fixes in plan, with the anchors and the true path."""
     looks = style.looks(list(fixes))
-    reach = np.ptp(anchors[:, :2], axis=0).max()
-    low, high = anchors[:, :2].min(axis=0) - 0.15 * reach, anchors[:, :2].max(axis=0)
-    high = high + 0.15 * reach
-    if truth is not None:
-        low = np.minimum(low, np.nanmin(truth[:, :2], axis=0) - 0.1 * reach)
-        high = np.maximum(high, np.nanmax(truth[:, :2], axis=0) + 0.1 * reach)
-    ratio = float((high - low)[1] / (high - low)[0])
-    ax = style.given(None, min(max(7.4 * ratio + 0.9, 3.4), 8.4))
+    ax = map_axes(arena([anchors] if truth is None else [anchors, truth]))
     for name, fix in fixes.items():
         place = np.asarray(fix.position)
         ax.plot(*place[:, :2].T, ".", ms=2.0, alpha=0.5, color=looks[name].color)
@@ -53,11 +47,7 @@ def plot_fixes(
     if truth is not None:
         ax.plot(*truth[:, :2].T, color=style.color("truth"), lw=2.6, alpha=0.5, label="truth")
         ax.plot(*truth[:1, :2].T, "x", color=style.color("truth"), ms=7)
-    ax.plot(*anchors[:, :2].T, "^", color=style.color("target"), ms=6, label="anchors")
-    for name, place in zip(names, anchors, strict=True):
-        ax.annotate(name, (place[0], place[1]), xytext=(5, 4), textcoords="offset points")
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    ax.set(xlabel="east, x (m)", ylabel="north, y (m)")
+    draw_targets(ax, {"ranges": (names, anchors)})
     return legend(ax, 4).figure
 
 

@@ -7,7 +7,7 @@ from kedge.core.errors import DataError
 from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.score import Run
-from kedge.reports import diagnostics, figures, findings, spatial, style, tables
+from kedge.reports import diagnostics, figures, findings, maps, spatial, style, tables
 from kedge.reports.drawing import LONG_GAP
 from kedge.reports.page import Front, Plate, require_studio, write_page
 
@@ -92,15 +92,11 @@ def _color(content: ReportContent, run: Run) -> str:
 def _map(content: ReportContent) -> list[Plate]:
     runs, truth = content.runs, content.truth
     if len(runs) == 1:
-        axes = [
-            figures.plot_map(runs, truth, figures.target_map(content.rig, content.target_names))
-        ]
+        axes = [maps.plot_map(runs, truth, maps.target_map(content.rig, content.target_names))]
     else:
-        axes = figures.plot_maps(
-            runs, truth, figures.target_map(content.rig, content.target_names)
-        )
+        axes = maps.plot_maps(runs, truth, maps.target_map(content.rig, content.target_names))
     caption = "The paths in plan, with 95\u00a0% ellipses of the filters at even intervals."
-    strays = [run.name for run in runs if figures.leaves(run, axes[0])]
+    strays = [run.name for run in runs if maps.leaves(run, axes[0])]
     if strays:
         caption += f" Cut off at the edge of the view: {', '.join(strays)}."
     return [Plate("map", "map", caption, axes[0].figure)]

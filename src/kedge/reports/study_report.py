@@ -12,7 +12,7 @@ from kedge.reports import study_figures as figures
 from kedge.reports import study_findings as findings
 from kedge.reports import study_tables as tables
 from kedge.reports import style
-from kedge.reports.figures import target_map
+from kedge.reports.maps import strays, target_map
 from kedge.reports.page import Front, Plate, write_page
 from kedge.reports.study_curves import nis_curve
 from kedge.reports.study_lines import featured, series, study_looks
@@ -189,7 +189,7 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
                 "The first run in plan, to scale: where the vehicle went when the guidance "
                 f"believed each filter ({names}); same disturbances, same noise."
             )
-        if any(_leaves(path, axes) for path in (where.driven or where.estimates).values()):
+        if any(strays(path, axes) for path in (where.driven or where.estimates).values()):
             caption += " What strays beyond the view is cut off."
         yield Plate("map", "track", caption, axes.figure)
         if where.truth.shape[1] == 3 and np.ptp(where.truth[:, 2]) > 0:
@@ -262,12 +262,6 @@ def _route(content: StudyContent, time: np.ndarray) -> np.ndarray | None:
     if not hasattr(route, "at"):
         return None
     return np.asarray(jax.vmap(lambda at: route.at(at).position)(time))
-
-
-def _leaves(path: np.ndarray, axes: Any) -> bool:
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    x, y = path.T[:2]
-    return bool(np.any((x < left) | (x > right) | (y < bottom) | (y > top)))
 
 
 def _unit(content: StudyContent) -> tuple[float, str]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from kedge.reports import style
 from kedge.reports.drawing import envelope, legend
+from kedge.reports.maps import Targets, arena, draw_ends, draw_targets, map_axes
 from kedge.reports.study_figures import TIME
 from kedge.reports.study_lines import Line, lines, plot_line
 
@@ -89,19 +90,14 @@ def plot_component(track: Track, index: int, label: str) -> Any:
 
 
 @style.styled
-def plot_plan(track: Track, targets: Mapping[str, Any]) -> Axes:
+def plot_plan(track: Track, targets: Targets) -> Axes:
     """Draw the first run in plan, with equal scales: truth, readings, estimates, targets.
 
     In closed loops: where each filter's loop led the vehicle.
     """
-    points = [track.truth[:, :2], *(where[:, :2] for _, where in targets.values())]
-    points += [] if track.route is None else [track.route[:, :2]]
-    low, high = (f(np.concatenate(points), axis=0) for f in (np.nanmin, np.nanmax))
-    whole = max(float((high - low).max()), 1e-3)
-    half = np.maximum((high - low) / 2, 0.12 * whole) + 0.08 * whole
-    low, high = (low + high) / 2 - half, (low + high) / 2 + half
-    height = 7.4 * float((high - low)[1] / (high - low)[0]) + 0.9
-    ax = style.given(None, min(max(height, 3.4), 7.0))
+    points = [track.truth, *(where for _, where in targets.values())]
+    points += [] if track.route is None else [track.route]
+    ax = map_axes(arena(points), highest=7.0)
     if not track.driven:
         ax.plot(*track.truth.T[:2], color=style.color("truth"), lw=3.2, alpha=0.3)
         ax.lines[-1].set_label("truth")
@@ -116,15 +112,8 @@ def plot_plan(track: Track, targets: Mapping[str, Any]) -> Axes:
         ax.lines[-1].set_linewidth(_width(place, len(found)))
     if track.route is not None:
         _route(ax, track.route[:, 0], track.route[:, 1])
-    for marker, (sensor, (_, where)) in zip("^DPv*s" * 5, targets.items(), strict=False):
-        ax.plot(*where.T[:2], marker, color=style.color("target"), ms=5, ls="none")
-        ax.lines[-1].set_label(f"targets of {style.words(sensor)}")
-    ends: Any = {"color": style.color("ink"), "ls": "none", "ms": 6, "zorder": 6}
-    ax.plot(*track.truth[:1, :2].T, marker="o", mfc=style.color("paper"), label="start", **ends)
-    if not track.driven:
-        ax.plot(*track.truth[-1:, :2].T, marker="s", label="end", **ends)
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    ax.set(xlabel="east, x (m)", ylabel="north, y (m)")
+    draw_targets(ax, targets, named=False)
+    draw_ends(ax, track.truth, end=not track.driven)
     return legend(ax, 4, 1.4)
 
 

@@ -1,7 +1,6 @@
 """Coefficients of hulls from files: those that come with kedge, and one's own."""
 
 import functools as ft
-import json
 import math
 import tomllib
 import warnings
@@ -9,6 +8,8 @@ from dataclasses import fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import tomli_w
 
 from kedge.core.errors import ConfigError, ContractError, UnknownName
 from kedge.core.registry import unknown
@@ -48,16 +49,16 @@ def as_coefficients(given: Coefficients | str) -> Coefficients:
 
 def as_toml(hull: Coefficients, title: str, source: str) -> str:
     """The text of a coefficient file, to be edited and used by its path."""
-    lines = [f"title = {json.dumps(title)}", f"source = {json.dumps(source)}"]
     groups = {"drive": ["Xprop", "Kprop", "fin_limit"]}
     names = [name for name in hull.values() if name not in groups["drive"]]
     axes = {"surge": "X", "sway": "Y", "heave": "Z", "roll": "K", "pitch": "M", "yaw": "N"}
     groups["body"] = [name for name in names if name[0] not in "XYZKMN"]
     groups |= {axis: [n for n in names if n[0] == letter] for axis, letter in axes.items()}
-    for group, members in groups.items():
-        lines += ["", f"[{group}]"]
-        lines += [f"{name} = {float(getattr(hull, name)):.6g}" for name in members]
-    return "\n".join([*lines, ""])
+    tables = {
+        group: {name: float(f"{float(getattr(hull, name)):.6g}") for name in members}
+        for group, members in groups.items()
+    }
+    return tomli_w.dumps({"title": title, "source": source, **tables})
 
 
 @ft.cache

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from kedge.evaluation.consistency import nees
 from kedge.evaluation.scores import Provenance
 from kedge.positioning.fix import Fix, Status
 
@@ -79,14 +80,13 @@ def score_fixes(
         return scores
     error = np.asarray(fixes.position)[judged] - truth[judged]
     far = np.linalg.norm(error, axis=1)
-    white = np.linalg.solve(np.asarray(fixes.cov)[judged], error[..., None])[..., 0]
     return replace(
         scores,
         rmse={"position": float(np.sqrt(np.mean(far**2)))},
         median=float(np.median(far)),
         p95=float(np.quantile(far, 0.95)),
         bias=tuple(np.mean(error, axis=0).tolist()),
-        nees=float(np.mean(np.sum(error * white, axis=1))),
+        nees=float(np.mean(nees(error, np.asarray(fixes.cov)[judged]))),
         nees_dof=error.shape[1],
     )
 
