@@ -76,7 +76,7 @@ def _write(
     units: dict[str, str],
 ) -> None:
     write_summary(folder / "summary.json", summary)
-    curves = {axis: curve for own in signals.values() for axis, curve in own.items()}
+    curves = {axis: curve for by_axis in signals.values() for axis, curve in by_axis.items()}
     columns = {"tau": next(iter(curves.values())).tau}
     write_csv(
         folder / "table.csv",
@@ -84,8 +84,8 @@ def _write(
     )
     (folder / "figures").mkdir()
     axes = subplots(1, len(signals), height=3.4)[0]
-    for ax, (stem, own) in zip(axes, signals.items(), strict=True):
-        draw_allan(own, fitted[stem], units[stem], ax, stem.replace("_", " "))
+    for ax, (stem, by_axis) in zip(axes, signals.items(), strict=True):
+        draw_allan(by_axis, fitted[stem], units[stem], ax, stem.replace("_", " "))
     figure = axes[0].figure
     (folder / "figures" / "allan.svg").write_text(svg_of(figure), encoding="utf-8")
     save_png(figure, folder / "figures" / "allan.png")
@@ -93,11 +93,11 @@ def _write(
 
 def print_allan(summary: dict[str, Any]) -> None:
     """A table of what was fitted, with the units of each coefficient."""
-    for stem, found in summary["signals"].items():
-        unit = found["unit"]
+    for stem, signal in summary["signals"].items():
+        unit = signal["unit"]
         print(f"{stem} ({unit}, {summary['samples']} samples at {1 / summary['period']:g} Hz)")
         print(f"  {'axis':24s} {'N /sqrt(Hz)':>12s} {'B':>12s} {'K /s/sqrt(Hz)':>14s}")
-        for axis, values in (found["axes"] | {"all": found}).items():
+        for axis, values in (signal["axes"] | {"all": signal}).items():
             print(
                 f"  {axis:24s} {values['noise']:12.4g} {values['instability']:12.4g} "
                 f"{values['walk']:14.4g}"

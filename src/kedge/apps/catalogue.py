@@ -20,30 +20,30 @@ def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
     if what not in (*FAMILIES, "all"):
         raise UnknownName(unknown("families", what, [*FAMILIES, "all"]))
     chosen = FAMILIES if what == "all" else (what,)
-    found: dict[str, dict[str, Any]] = {}
+    families: dict[str, dict[str, Any]] = {}
     if classes := [family for family in chosen if family in CLASSES]:
         from kedge.apps.describe import registered
 
-        found |= {family: registered(family) for family in classes}
+        families |= {family: registered(family) for family in classes}
     if "rigs" in chosen:
-        found["rigs"] = _titles("rigs")
+        families["rigs"] = _titles("rigs")
     if "scenarios" in chosen:
-        found["scenarios"] = _titles("scenarios")
+        families["scenarios"] = _titles("scenarios")
     if "datasets" in chosen:
-        found["datasets"] = _datasets()
+        families["datasets"] = _datasets()
     if "readers" in chosen:
-        found["readers"] = {
+        families["readers"] = {
             name: {"summary": _first_line(readers.get(name))} for name in readers.names()
         }
-    return {family: found[family] for family in chosen}
+    return {family: families[family] for family in chosen}
 
 
-def print_catalogue(found: dict[str, dict[str, Any]]) -> None:
+def print_catalogue(families: dict[str, dict[str, Any]]) -> None:
     """Names, what they are, and their parameters, for people."""
     from rich.console import Console
 
     console = Console(highlight=False)
-    for family, table in found.items():
+    for family, table in families.items():
         console.print(f"[bold]{family}[/bold]")
         for name, about in table.items():
             console.print(f"  {name:20s}", style="cyan", end=" ")
@@ -74,12 +74,12 @@ def _plain(value: Any) -> Any:
 def _titles(kind: str) -> dict[str, Any]:
     import tomllib
 
-    folder, found = files("kedge") / kind, {}
+    folder, titles = files("kedge") / kind, {}
     for name in sorted(p.name for p in folder.iterdir() if p.name.endswith(".toml")):
         tree = tomllib.loads((folder / name).read_text())
         title = tree.get("scenario", tree).get("title", "")
-        found[name.removesuffix(".toml")] = {"summary": title}
-    return found
+        titles[name.removesuffix(".toml")] = {"summary": title}
+    return titles
 
 
 def _datasets() -> dict[str, Any]:
@@ -88,18 +88,18 @@ def _datasets() -> dict[str, Any]:
 
     formats = "kedge.formats."
     recorded = [n for n in readers.names() if not readers.get(n).__module__.startswith(formats)]
-    found: dict[str, dict[str, Any]] = {
+    entries: dict[str, dict[str, Any]] = {
         name: {"summary": _module_title(readers.get(name))} for name in recorded
     }
     for name, entry in DATASETS.items():
         place = locate(name)
-        found[name] = {
+        entries[name] = {
             "summary": f"{entry.title}: {place or 'not here; kedge datasets fetch ' + name}",
             "path": str(place) if place else None,
             "url": entry.url,
             "cite": entry.cite,
         }
-    return dict(sorted(found.items()))
+    return dict(sorted(entries.items()))
 
 
 def _module_title(reader: Any) -> str:

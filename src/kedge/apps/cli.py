@@ -61,11 +61,11 @@ def list_(
     """Vehicles, sensors, filters, rigs, scenarios and data sets that there are."""
     from kedge.apps.catalogue import catalogue, print_catalogue
 
-    found = catalogue(what)
+    families = catalogue(what)
     if as_json:
-        print_json(found)
+        print_json(families)
     else:
-        print_catalogue(found)
+        print_catalogue(families)
 
 
 @app.command()
@@ -315,11 +315,11 @@ def datasets_list(as_json: Json = False) -> None:
     """Data sets that kedge knows, and where each is on this machine."""
     from kedge.apps.catalogue import catalogue, print_catalogue
 
-    found = catalogue("datasets")
+    families = catalogue("datasets")
     if as_json:
-        print_json(found)
+        print_json(families)
     else:
-        print_catalogue(found)
+        print_catalogue(families)
 
 
 @datasets_app.command("fetch")

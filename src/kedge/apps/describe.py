@@ -35,7 +35,7 @@ def describe(cls: type) -> dict[str, Any]:
 def parameters(cls: Any) -> dict[str, dict[str, Any]]:
     """Name to default and unit, for every parameter that a rig can set."""
     hints = get_type_hints(cls, include_extras=True)
-    found = {}
+    parameters = {}
     typed = parameters_of(cls) if issubclass(cls, AbstractFilter) else {}
     for field in dataclasses.fields(cls):
         default = field.default
@@ -44,8 +44,8 @@ def parameters(cls: Any) -> dict[str, dict[str, Any]]:
         if isinstance(default, (int, float, str, np.ndarray)) or field.name in typed:
             metadata = getattr(hints.get(field.name), "__metadata__", ())
             unit = next((m.unit for m in metadata if hasattr(m, "boxplus")), "")
-            found[field.name] = {"default": default, "unit": unit}
-    return found
+            parameters[field.name] = {"default": default, "unit": unit}
+    return parameters
 
 
 def components(value: Any) -> dict[str, str]:
@@ -56,5 +56,5 @@ def components(value: Any) -> dict[str, str]:
 
 def registered(family: str) -> dict[str, dict[str, Any]]:
     """All members of a family of models: "vehicles", "worlds", and so on."""
-    found = getattr(registry, family)
-    return {name: describe(found.get(name)) for name in found.names()}
+    family_registry = getattr(registry, family)
+    return {name: describe(family_registry.get(name)) for name in family_registry.names()}

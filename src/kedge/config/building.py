@@ -132,7 +132,7 @@ def build_prior(
         full = np.broadcast_to(values, charts[field].shape or (1,))
         given[field] = jnp.asarray(full.reshape(charts[field].shape))
     given |= {field: jnp.asarray(value) for field, value in known.items()}
-    own = space_of(type(bare.start()))
+    bare_space = space_of(type(bare.start()))
     stds = dict(prior.std) | {
         name: [augmented.std] for name, augmented in config.vehicle.augmented.items()
     }
@@ -141,7 +141,7 @@ def build_prior(
         if field in stds:
             cov[cut, cut] = np.diag(np.broadcast_to(stds[field], cut.stop - cut.start) ** 2)
     if prior.covariance is not None:
-        cov[: own.size, : own.size] = prior.covariance
+        cov[: bare_space.size, : bare_space.size] = prior.covariance
     return Gaussian(mean._replace(**given), jnp.asarray(cov))
 
 

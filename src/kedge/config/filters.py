@@ -45,13 +45,13 @@ def split_names(names: str) -> list[str]:
     ``a:x=1,y=2,b`` is two filters: what contains ``=`` but no ``:`` before it goes on with the
     one before.
     """
-    found: list[str] = []
+    filters: list[str] = []
     for part in split_top(names):
-        if found and "=" in part and ":" not in part.partition("=")[0]:
-            found[-1] += f",{part}"
+        if filters and "=" in part and ":" not in part.partition("=")[0]:
+            filters[-1] += f",{part}"
         else:
-            found.append(part.strip())
-    return found
+            filters.append(part.strip())
+    return filters
 
 
 def _build(spec: str, whole: str, depth: int) -> AbstractFilter:
@@ -59,11 +59,11 @@ def _build(spec: str, whole: str, depth: int) -> AbstractFilter:
         raise ConfigError(
             f"filter {whole!r}: found filters in filters, expected at most {MOST_DEPTH}"
         )
-    name, _, rest = spec.partition(":")
+    name, _, arguments = spec.partition(":")
     cls = filters.get(name.strip())
     known = parameters_of(cls)
     given: dict[str, Any] = {}
-    for item in split_top(rest) if rest.strip() else ():
+    for item in split_top(arguments) if arguments.strip() else ():
         key, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
             raise ConfigError(f"filter {whole!r}: found {item!r}, expected PARAMETER=VALUE")

@@ -30,10 +30,10 @@ def completed(tree: Tree, path: Path, shipped: Mapping[str, Path]) -> Tree:
 def _completed(
     tree: Tree, path: Path, shipped: Mapping[str, Path], seen: tuple[Path, ...]
 ) -> Tree:
-    own = placed(tree, path.parent)
-    if EXTENDS not in own:
-        return own
-    name, lost = own.pop(EXTENDS), own.pop(WITHOUT, [])
+    tree_here = placed(tree, path.parent)
+    if EXTENDS not in tree_here:
+        return tree_here
+    name, lost = tree_here.pop(EXTENDS), tree_here.pop(WITHOUT, [])
     if not isinstance(name, str):
         raise ConfigError(
             f"{path}: {EXTENDS}: found {name!r}, expected the name of a shipped file or a path"
@@ -54,7 +54,7 @@ def _completed(
     for key in lost if isinstance(lost, list) else [lost]:
         if not _left_out(whole, str(key).split(".")):
             raise ConfigError(f"{path}: {WITHOUT}: found {key!r}, which is not in {name!r}")
-    return merged(whole, own)
+    return merged(whole, tree_here)
 
 
 def _left_out(tree: Tree, keys: list[str]) -> bool:
@@ -71,11 +71,11 @@ def merged(base: Tree, changes: Tree) -> Tree:
     """``changes`` over ``base``: see :func:`completed`."""
     if changes.get("model", base.get("model")) != base.get("model"):
         return changes
-    found = dict(base)
+    tree = dict(base)
     for key, value in changes.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        found[key] = merged(base[key], value) if both else value
-    return found
+        tree[key] = merged(base[key], value) if both else value
+    return tree
 
 
 def placed(tree: Tree, folder: Path) -> Tree:
@@ -84,20 +84,20 @@ def placed(tree: Tree, folder: Path) -> Tree:
     Whoever names a file by a relative path means it from the file in which it stands; what is
     typed on the command line is relative to where that was typed.
     """
-    found = {}
+    placed_tree = {}
     for key, value in tree.items():
         if key == "parameters" and isinstance(value, dict):
-            found[key] = {name: _from(folder, given) for name, given in value.items()}
+            placed_tree[key] = {name: _from(folder, given) for name, given in value.items()}
         else:
-            found[key] = placed(value, folder) if isinstance(value, dict) else value
-    return found
+            placed_tree[key] = placed(value, folder) if isinstance(value, dict) else value
+    return placed_tree
 
 
 def _from(folder: Path, given: Any) -> Any:
     """A path, perhaps with changes after a colon; what is none stays as it is."""
     if not isinstance(given, str):
         return given
-    name, colon, rest = given.partition(":")
+    name, colon, fragment = given.partition(":")
     if not name.endswith(".toml") or Path(name).is_absolute():
         return given
-    return f"{folder / name}{colon}{rest}"
+    return f"{folder / name}{colon}{fragment}"

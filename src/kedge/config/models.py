@@ -16,15 +16,15 @@ Parameter = bool | int | Number | str | list[Number] | list[list[Number]]
 
 def kinds_of(cls: type) -> dict[str, type]:
     """What can be set of a model as text: numbers, words, true or false, lists."""
-    hints, found = get_type_hints(cls), {}
+    hints, kinds_by_name = get_type_hints(cls), {}
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         likely = [type(field.default), getattr(hint, "__origin__", hint), *get_args(hint)]
         # A default says its kind; what has none is known by its type.
         kinds = [kind for kind in likely if kind in KINDS]
         if kinds:
-            found[field.name] = kinds[0]
-    return found
+            kinds_by_name[field.name] = kinds[0]
+    return kinds_by_name
 
 
 def build_model(cls: type, parameters: Mapping[str, Parameter], **others: Any) -> Any:

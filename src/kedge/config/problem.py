@@ -208,9 +208,11 @@ def _rig_of(
 def _placed(config: RigConfig, raw: RawLog) -> RigConfig:
     """The rig, with what the log knows of its place if the vehicle asks for it."""
     known = {field.name for field in dataclasses.fields(vehicles.get(config.vehicle.model))}
-    told = {name: value for name, value in raw.place.items() if name in known}
-    own = config.vehicle.model_copy(update={"parameters": told | config.vehicle.parameters})
-    placed = config.model_copy(update={"vehicle": own})
+    place = {name: value for name, value in raw.place.items() if name in known}
+    vehicle = config.vehicle.model_copy(
+        update={"parameters": place | config.vehicle.parameters}
+    )
+    placed = config.model_copy(update={"vehicle": vehicle})
     placed._origin = config.origin
     return placed
 
@@ -316,9 +318,9 @@ def _check_overlap(table: Table, start: int, end: int) -> None:
 def _field(table: Table, field: str, chart: Chart) -> Float[np.ndarray, "n ..."]:
     names = columns_of(field, chart)
     unit = chart.unit if chart.shape == chart.tangent_shape else "1"
-    found = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
+    columns = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
     require_finite(table, names, "truth")
-    return join(found, names, (len(table.stamps), *chart.shape))
+    return join(columns, names, (len(table.stamps), *chart.shape))
 
 
 def _span(first: int, last: int) -> str:

@@ -34,19 +34,19 @@ def find_columns(
     table: Table, wanted: dict[str, str], renamed: Mapping[str, str], place: str
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """The columns of some components, after a look at their units."""
-    found = {}
+    values = {}
     for part, unit in wanted.items():
         column = renamed.get(part, part)
         if (constant := _number(column)) is not None and column not in table.columns:
-            found[part] = np.full(len(table.stamps), constant)
+            values[part] = np.full(len(table.stamps), constant)
             continue
-        found[part] = table.column(column)
+        values[part] = table.column(column)
         if table.units[column] != unit:
             raise DataError(
                 f"{table.path}: column {column!r}: found unit {table.units[column]!r}, "
                 f"expected {unit!r} for {place}.{part}"
             )
-    return found
+    return values
 
 
 def _number(text: str) -> float | None:

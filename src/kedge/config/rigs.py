@@ -214,16 +214,16 @@ class AbstractRigConfig(Strict):
     def control_errors(self, control: Any) -> Iterator[str]:
         """What is wrong with where the control comes from."""
 
-    def _prior_complaints(self, own: dict[str, Chart]) -> Iterator[str]:
-        prior, fields = self.prior, [*own, *self.vehicle.augmented]
-        known = {"std": list(own), "mean": fields, "from_truth": list(own)}
+    def _prior_complaints(self, charts: dict[str, Chart]) -> Iterator[str]:
+        prior, fields = self.prior, [*charts, *self.vehicle.augmented]
+        known = {"std": list(charts), "mean": fields, "from_truth": list(charts)}
         for key, names in known.items():
             for name in getattr(prior, key):
                 if name not in names:
                     yield f"prior.{key}.{name}: {unknown('field of the state', name, names)}"
         sizes = {
-            "std": {name: chart.size for name, chart in own.items()},
-            "mean": {name: int(np.prod(chart.shape)) for name, chart in own.items()},
+            "std": {name: chart.size for name, chart in charts.items()},
+            "mean": {name: int(np.prod(chart.shape)) for name, chart in charts.items()},
         }
         for key, wanted in sizes.items():
             for name, values in getattr(prior, key).items():
@@ -233,13 +233,13 @@ class AbstractRigConfig(Strict):
                         f"prior.{key}.{name}: found {len(values)} numbers, expected 1 or {size}"
                     )
         if prior.covariance is None:
-            for name in own:
+            for name in charts:
                 if name not in prior.std:
                     yield f"prior.std.{name}: this key is missing"
             return
         if prior.std:
             yield "prior.covariance: found beside prior.std, expected one of the two"
-        yield from _covariance_errors(prior.covariance, sum(c.size for c in own.values()))
+        yield from _covariance_errors(prior.covariance, sum(c.size for c in charts.values()))
 
 
 class RigConfig(AbstractRigConfig):

@@ -217,10 +217,10 @@ class WorldConfig(Strict):
             if fields["route"].default is dataclasses.MISSING:
                 yield f"route: this key is missing; world {self.model!r} follows a route"
             return
-        wanted, found = get_type_hints(cls)["route"], self.route.build()
-        if not isinstance(found, wanted):
+        wanted, route = get_type_hints(cls)["route"], self.route.build()
+        if not isinstance(route, wanted):
             yield (
-                f"route: found a {type(found).__name__}, but world {self.model!r} follows a "
+                f"route: found a {type(route).__name__}, but world {self.model!r} follows a "
                 f"{wanted.__name__}"
             )
 
@@ -251,8 +251,8 @@ class ScenarioConfig(AbstractRigConfig):
     def ids_of(self, sensor: str) -> list[str]:
         """Of the targets on a sensor's map; none without one."""
         spec = self.sensors.get(sensor)
-        found = None if spec is None or spec.map is None else self.maps.get(spec.map)
-        return [] if found is None else list(found.ids)
+        targets = None if spec is None or spec.map is None else self.maps.get(spec.map)
+        return [] if targets is None else list(targets.ids)
 
     def control_errors(self, control: Any) -> Iterator[str]:
         """Keys that belong to logs: a scenario drives as its vehicle's ``drive`` says."""
@@ -374,7 +374,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
     feedback, loop_filter = about.feedback, None
     if feedback not in FEEDBACKS:
         loop_filter, feedback = LoopFilter(about.filter_of(feedback), feedback), "filter"
-    own = {
+    vehicles_by_filter = {
         name: sharing_augmented(build_model(vehicles.get(spec.model), spec.parameters), vehicle)
         for name, spec in config.vehicles.items()
     }
@@ -391,4 +391,4 @@ def build_setting(config: ScenarioConfig) -> Setting:
         )
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error
-    return Setting(config, scenario, own)
+    return Setting(config, scenario, vehicles_by_filter)

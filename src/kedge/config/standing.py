@@ -27,13 +27,13 @@ def with_standing(config: StandingConfig, raw: RawLog, origin: str) -> RawLog:
     wheel = find_table(raw, config.wheel, f"{origin}: standing.wheel")
     names = {f"{stem}_{axis}": unit for stem, unit in UNITS.items() for axis in "xyz"}
     columns = find_columns(imu, names, {}, "standing")
-    found = find_columns(wheel, {config.column: "m/s"}, {}, "standing")[config.column]
+    speed = find_columns(wheel, {config.column: "m/s"}, {}, "standing")[config.column]
     ends = np.arange(
         imu.stamps[0] + round(config.window * SECOND),
         imu.stamps[-1] + 1,
         round(SECOND / config.rate),
     )
-    still = _quiet(config, imu, columns, ends) & _halted(config, wheel, found, ends)
+    still = _quiet(config, imu, columns, ends) & _halted(config, wheel, speed, ends)
     stamps = ends[still]
     zero = np.zeros(len(stamps))
     zeros = {f"{stem}_{axis}": unit for stem, unit in ZEROS.items() for axis in "xyz"}
@@ -69,5 +69,5 @@ def _halted(
     """Whether the wheel was read within the window before each end, and never moved in it."""
     high = np.searchsorted(wheel.stamps, ends, side="right")
     low = np.searchsorted(wheel.stamps, ends - round(config.window * SECOND))
-    moved = np.append(0, np.cumsum(~(np.abs(speed) < config.speed)))
-    return (high > low) & (moved[high] == moved[low])
+    moving_count = np.append(0, np.cumsum(~(np.abs(speed) < config.speed)))
+    return (high > low) & (moving_count[high] == moving_count[low])

@@ -143,8 +143,8 @@ def _disagreement(truth: Table, velocity: np.ndarray) -> str:
     """How far the reference's velocity, integrated, misses its own position."""
     position = np.stack([truth.columns[f"position_{axis}"] for axis in AXES], axis=1)
     seconds = np.diff(truth.stamps) / SECOND
-    moved = ((velocity[1:] + velocity[:-1]) / 2 * seconds[:, None]).sum(axis=0)
-    gap = float(np.linalg.norm(moved - (position[-1] - position[0])))
+    travelled = ((velocity[1:] + velocity[:-1]) / 2 * seconds[:, None]).sum(axis=0)
+    gap = float(np.linalg.norm(travelled - (position[-1] - position[0])))
     distance = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     share = f", {100 * gap / distance:.2f} % of {distance:.0f} m" if distance else ""
     return (
@@ -157,13 +157,13 @@ def _files(path: Path, part: str | None) -> tuple[Path, Path, str]:
     """The Doppler log and the reference of a run, and its number."""
     if not path.is_dir():
         raise DataError(f"{path}: no such folder, expected one with DVL_trajectoryN.csv")
-    found: dict[str, Path] = {}
+    by_number: dict[str, Path] = {}
     for file in sorted(path.rglob("DVL_trajectory*.csv*")):
         if match := re.fullmatch(r"DVL_trajectory(\d+)\.csv(\.gz)?", file.name):
-            if match[1] in found:
+            if match[1] in by_number:
                 raise DataError(f"{path}: run {match[1]} is there twice, last in {file.parent}")
-            found[match[1]] = file
-    runs = sorted(found, key=int)
+            by_number[match[1]] = file
+    runs = sorted(by_number, key=int)
     if not runs:
         raise DataError(f"{path}: found no DVL_trajectoryN.csv there or in a folder below")
     if part is None:
@@ -173,9 +173,9 @@ def _files(path: Path, part: str | None) -> tuple[Path, Path, str]:
                 f"{path}: expected a run's number after the path; there are {choice}"
             )
         part = runs[0]
-    if part not in found:
+    if part not in by_number:
         raise UnknownName(f"{path}: {unknown('run', part, runs)}")
-    doppler = found[part]
+    doppler = by_number[part]
     reference = doppler.with_name(doppler.name.replace("DVL_", "GT_", 1))
     if not reference.is_file():
         raise DataError(

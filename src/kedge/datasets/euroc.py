@@ -54,10 +54,10 @@ def read_euroc(path: Path, part: str | None = None) -> RawLog:
 
 
 def _file(folder: Path, name: str) -> Path:
-    found = sorted([*folder.glob(name), *folder.glob(f"{name}.gz")])
-    if len(found) != 1:
-        raise DataError(f"{folder}: found {len(found)} files {name}, expected one (or .gz)")
-    return found[0]
+    files = sorted([*folder.glob(name), *folder.glob(f"{name}.gz")])
+    if len(files) != 1:
+        raise DataError(f"{folder}: found {len(files)} files {name}, expected one (or .gz)")
+    return files[0]
 
 
 def _imu(path: Path, notes: list[str]) -> Table:

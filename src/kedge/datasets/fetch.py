@@ -59,7 +59,7 @@ def dataset(name: str) -> Dataset:
 def checksums(name: str) -> dict[str, str]:
     """SHA-256 of every file of a data set, by file name."""
     text = (files("kedge.datasets") / "checksums" / f"{name}.sha256").read_text()
-    return {file: found for found, file in (line.split() for line in text.splitlines())}
+    return {file: checksum for checksum, file in (line.split() for line in text.splitlines())}
 
 
 def locate(name: str) -> Path | None:
@@ -76,12 +76,12 @@ def require_located(name: str) -> Path:
     Raises:
         DataError: it is not here; the message says how to get it.
     """
-    if (found := locate(name)) is None:
+    if (folder := locate(name)) is None:
         raise DataError(
             f"data set {name!r} is not on this machine: run 'kedge datasets fetch {name}', or "
             f"let KEDGE_DATA name the folder above {dataset(name).folder}"
         )
-    return found
+    return folder
 
 
 def fetch(name: str) -> Path:
@@ -91,8 +91,8 @@ def fetch(name: str) -> Path:
         DataError: it cannot be downloaded, or a file is not the one that is known.
     """
     entry = dataset(name)
-    if (found := locate(name)) is not None:
-        return found
+    if (folder := locate(name)) is not None:
+        return folder
     try:
         import pooch
     except ImportError:
@@ -165,5 +165,5 @@ def verify(name: str, folder: Path) -> None:
                 raise DataError(f"{packed}: cannot be unpacked: {error}") from error
         else:
             raise DataError(f"{folder}: {file} is missing")
-        if (found := hashlib.sha256(data).hexdigest()) != checksum:
-            raise DataError(f"{folder / file}: SHA-256 is {found}, expected {checksum}")
+        if (digest := hashlib.sha256(data).hexdigest()) != checksum:
+            raise DataError(f"{folder / file}: SHA-256 is {digest}, expected {checksum}")

@@ -87,8 +87,8 @@ def _run(path: Path, part: str | None) -> Path:
 
 
 def _number(file: Path) -> int:
-    found = re.fullmatch(r"A(\d+)\.csv(\.gz)?", file.name)
-    return int(found[1]) if found else -1
+    match = re.fullmatch(r"A(\d+)\.csv(\.gz)?", file.name)
+    return int(match[1]) if match else -1
 
 
 def _file(folder: Path, stem: str) -> Path | None:

@@ -77,8 +77,8 @@ def _one(path: Path, kind: str) -> Path | None:
     """The file itself, or the only one of its kind in the folder."""
     if path.is_file():
         return path
-    found = sorted(path.glob(f"*_{kind}.txt*")) if path.is_dir() else []
-    return found[0] if len(found) == 1 else None
+    files = sorted(path.glob(f"*_{kind}.txt*")) if path.is_dir() else []
+    return files[0] if len(files) == 1 else None
 
 
 def _lines(path: Path) -> list[tuple[int, str, list[str]]]:
@@ -88,7 +88,7 @@ def _lines(path: Path) -> list[tuple[int, str, list[str]]]:
 
 
 def _cells(path: Path, lines: list[tuple[int, str, list[str]]], kind: str) -> Cells:
-    chosen = [(number, cells) for number, found, cells in lines if found == kind]
+    chosen = [(number, cells) for number, table, cells in lines if table == kind]
     if not chosen:
         raise DataError(f"{path}: found no line of kind {kind!r}, expected some")
     for number, cells in chosen:
@@ -98,13 +98,13 @@ def _cells(path: Path, lines: list[tuple[int, str, list[str]]], kind: str) -> Ce
                 f"{len(KINDS[kind])}: {', '.join(KINDS[kind])}"
             )
     columns = zip(KINDS[kind], zip(*(cells for _, cells in chosen), strict=True), strict=True)
-    found = Cells(
+    table = Cells(
         path, {name: list(cells) for name, cells in columns}, np.array([n for n, _ in chosen])
     )
     if kind == "range2":
-        std = _root(found, "variance")
-        found.columns["std"] = [repr(value) for value in std.tolist()]
-    return found
+        std = _root(table, "variance")
+        table.columns["std"] = [repr(value) for value in std.tolist()]
+    return table
 
 
 def _root(cells: Cells, column: str) -> Float[np.ndarray, " n"]:
@@ -123,10 +123,10 @@ def _modules(ranges: Cells) -> TargetMap:
     x, y, names = ranges.numbers("x"), ranges.numbers("y"), ranges.text("target")
     first = {name: at for at, name in reversed(list(enumerate(names)))}
     ids = tuple(sorted(first))
-    moved = [i for i, n in enumerate(names) if (x[i], y[i]) != (x[first[n]], y[first[n]])]
-    if moved:
+    shifted = [i for i, n in enumerate(names) if (x[i], y[i]) != (x[first[n]], y[first[n]])]
+    if shifted:
         raise DataError(
-            f"{ranges.path}:{ranges.lines[moved[0]]}: module {names[moved[0]]!r} stands "
+            f"{ranges.path}:{ranges.lines[shifted[0]]}: module {names[shifted[0]]!r} stands "
             "elsewhere than in its first line, expected modules that stay"
         )
     rows = [first[name] for name in ids]

@@ -62,18 +62,18 @@ def read_lias(path: Path, part: str | None = None) -> RawLog:
 def _ranges(path: Path, part: str | None) -> Path:
     if path.is_file():
         return path
-    found = {
+    drives = {
         file.name.removeprefix(PREFIXES[0]).split(".")[0]: file
         for file in (sorted(path.glob(f"{PREFIXES[0]}*.csv*")) if path.is_dir() else [])
     }
-    if part is None and len(found) == 1:
-        return next(iter(found.values()))
+    if part is None and len(drives) == 1:
+        return next(iter(drives.values()))
     if part is None:
-        choice = ", ".join(f"{path.name}#{name}" for name in found) or "none"
+        choice = ", ".join(f"{path.name}#{name}" for name in drives) or "none"
         raise DataError(f"{path}: expected one {PREFIXES[0]}....csv; there are {choice}")
-    if part not in found:
-        raise UnknownName(f"{path}: {unknown('drive', part, list(found))}")
-    return found[part]
+    if part not in drives:
+        raise UnknownName(f"{path}: {unknown('drive', part, list(drives))}")
+    return drives[part]
 
 
 def _tag(
@@ -132,9 +132,9 @@ def _numbers(
 def _stamp(path: Path, line: int, text: str) -> int:
     """A wall-clock time in ns, as if it were UTC: the zone is not written down."""
     try:
-        found = datetime.strptime(text, "%Y-%m-%d %H:%M:%S.%f").replace(tzinfo=UTC)
+        moment = datetime.strptime(text, "%Y-%m-%d %H:%M:%S.%f").replace(tzinfo=UTC)
     except ValueError:
         raise DataError(
             f"{path}:{line}: found {text!r}, expected a time such as 2022-08-15 9:42:24.766"
         ) from None
-    return round(found.replace(microsecond=0).timestamp()) * 10**9 + found.microsecond * 1000
+    return round(moment.replace(microsecond=0).timestamp()) * 10**9 + moment.microsecond * 1000

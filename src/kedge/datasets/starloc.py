@@ -73,10 +73,10 @@ def read_starloc(path: Path, part: str | None = None) -> RawLog:
 
 def _file(folder: Path, stem: str) -> Path:
     names = (folder / f"{stem}.csv", folder / f"{stem}.csv.gz")
-    found = next((name for name in names if name.is_file()), None)
-    if found is None:
+    file = next((name for name in names if name.is_file()), None)
+    if file is None:
         raise DataError(f"{folder / stem}.csv: no such file, packed or not")
-    return found
+    return file
 
 
 def _columns(cells: Cells, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
@@ -107,12 +107,12 @@ def _anchors(cells: Cells) -> TargetMap:
         mine = names == anchor
         rows = np.hstack([2 * tags[mine], -np.ones((mine.sum(), 1))])
         sides = (tags[mine] ** 2).sum(axis=1) - true[mine] ** 2
-        found, _, rank, _ = np.linalg.lstsq(rows, sides, rcond=None)
+        solution, _, rank, _ = np.linalg.lstsq(rows, sides, rcond=None)
         if rank < 4:
             raise DataError(
                 f"{cells.path}: anchor {anchor}: {mine.sum()} true ranges do not fix its place"
             )
-        places.append(found[:3])
+        places.append(solution[:3])
     columns = {f"position_{axis}": np.array(places)[:, i] for i, axis in enumerate(PLACE)}
     return TargetMap(tuple(map(str, ids)), columns, dict.fromkeys(columns, "m"))
 

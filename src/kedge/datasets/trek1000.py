@@ -69,17 +69,17 @@ def read_trek1000(path: Path, part: str | None = None) -> RawLog:
 def _file(path: Path, part: str | None) -> Path:
     if path.is_file():
         return path
-    found = {f.stem.removeprefix(STEM): f for f in sorted(path.glob(f"{STEM}*.txt"))}
-    if not found:
+    cases = {f.stem.removeprefix(STEM): f for f in sorted(path.glob(f"{STEM}*.txt"))}
+    if not cases:
         raise DataError(f"{path}: expected files {STEM}CASE.txt, or one of them; found none")
-    if part is None and len(found) == 1:
-        return next(iter(found.values()))
+    if part is None and len(cases) == 1:
+        return next(iter(cases.values()))
     if part is None:
-        choice = ", ".join(f"{path.name}#{case}" for case in found)
+        choice = ", ".join(f"{path.name}#{case}" for case in cases)
         raise DataError(f"{path}: expected a case after the path; there are {choice}")
-    if part not in found:
-        raise UnknownName(f"{path}: {unknown('case', part, list(found))}")
-    return found[part]
+    if part not in cases:
+        raise UnknownName(f"{path}: {unknown('case', part, list(cases))}")
+    return cases[part]
 
 
 def _stamps(cells: Cells) -> np.ndarray:
@@ -89,7 +89,7 @@ def _stamps(cells: Cells) -> np.ndarray:
         DataError: a time that no clock shows, or that goes backwards.
     """
     text = cells.text("time")
-    found = []
+    stamps = []
     for at, cell in enumerate(text):
         place = f"{cells.path}:{cells.lines[at]}: column 'time'"
         digits = cell.zfill(9)
@@ -99,10 +99,10 @@ def _stamps(cells: Cells) -> np.ndarray:
         if hours > 23 or minutes > 59 or seconds > 59:
             raise DataError(f"{place}: found {cell!r}, expected a time as HHMMSSmmm")
         whole = (hours * 60 + minutes) * 60 + seconds
-        found.append((whole * 1000 + int(digits[6:])) * 1_000_000)
-        if at and found[-1] <= found[-2]:
+        stamps.append((whole * 1000 + int(digits[6:])) * 1_000_000)
+        if at and stamps[-1] <= stamps[-2]:
             raise DataError(f"{place}: found {cell!r} after {text[at - 1]!r}, expected a later")
-    return np.array(found, np.int64)
+    return np.array(stamps, np.int64)
 
 
 def _truth(file: Path, case: str, stamps: np.ndarray) -> Table | None:

@@ -10,10 +10,10 @@ from jaxtyping import PRNGKeyArray
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.log import Log, Recording, events_of
-from kedge.estimation.passage import require_smoothable
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.traced import Estimates as Estimates
 from kedge.estimation.traced import pass_over as pass_over
+from kedge.estimation.transition import require_smoothable
 
 T = TypeVar("T")
 

@@ -18,9 +18,9 @@ from kedge.compiler.machine import is_available
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
 from kedge.estimation.log import Log
-from kedge.estimation.passage import innermost
 from kedge.estimation.rig import Rig
 from kedge.estimation.traced import Estimates
+from kedge.estimation.transition import innermost
 from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
 from kedge.filters.particle.cloud import AbstractParticleFilter
 

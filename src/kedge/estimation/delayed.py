@@ -57,7 +57,7 @@ class Entry(NamedTuple):
     event: Event
     after: State
     outcome: Outcome
-    passage: Any
+    record: Any
     """What the smoother needs of the prediction; None if the filter cannot be smoothed."""
     moments: Any = None
     """Mean and covariance after it, where they are known already."""

@@ -19,7 +19,6 @@ from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Entry, Event, State, Window
 from kedge.estimation.log import Log, Readings
 from kedge.estimation.native_step import NativeStep
-from kedge.estimation.passage import is_smoothable, require_smoothable
 from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.smoother import backward
 from kedge.estimation.step import (
@@ -30,6 +29,7 @@ from kedge.estimation.step import (
     silence,
     widest,
 )
+from kedge.estimation.transition import is_smoothable, require_smoothable
 
 FLOAT = jax.dtypes.canonicalize_dtype(float)
 
@@ -196,7 +196,7 @@ class Estimator:
             if later is not None:
                 filtered = _backward(filtered, found[-1][1], later)
             found.append((entry.event.time, filtered))
-            later = entry.passage
+            later = entry.record
         return found[::-1]
 
     def _take(self, event: Event) -> Answer:

@@ -17,9 +17,9 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.estimation.compiled import Engine, compiled_pass
 from kedge.estimation.log import Log
-from kedge.estimation.passage import innermost
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.estimation.traced import Estimates, pass_over
+from kedge.estimation.transition import innermost
 from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
 from kedge.filters.particle.cloud import AbstractParticleFilter
 

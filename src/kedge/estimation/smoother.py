@@ -14,8 +14,8 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import space_of
 from kedge.estimation.batch import Estimates, estimate_with_history
 from kedge.estimation.log import Log, Recording
-from kedge.estimation.passage import EnsembleHistory, History
 from kedge.estimation.rig import Rig
+from kedge.estimation.transition import EnsembleHistory, History
 from kedge.numerics.linalg import symmetric
 
 
@@ -55,8 +55,8 @@ def rauch_tung_striebel(filtered: Gaussian, history: History | EnsembleHistory) 
     """
 
     def body(later: Gaussian, event: tuple[Gaussian, Any]):
-        present, passage = event
-        smoothed = backward(present, later, passage)
+        present, record = event
+        smoothed = backward(present, later, record)
         return smoothed, smoothed
 
     last = jax.tree.map(lambda leaf: leaf[-1], filtered)
@@ -66,11 +66,9 @@ def rauch_tung_striebel(filtered: Gaussian, history: History | EnsembleHistory) 
     return jax.tree.map(lambda head, end: jnp.concatenate([head, end[None]]), smoothed, last)
 
 
-def backward(
-    present: Gaussian, later: Gaussian, passage: History | EnsembleHistory
-) -> Gaussian:
-    """One step of :func:`rauch_tung_striebel`: ``passage`` leads from present to later."""
+def backward(present: Gaussian, later: Gaussian, record: History | EnsembleHistory) -> Gaussian:
+    """One step of :func:`rauch_tung_striebel`: ``record`` leads from present to later."""
     states = space_of(type(present.mean))
-    predicted, G = passage.predicted, passage.smoothing_gain()
+    predicted, G = record.predicted, record.smoothing_gain()
     mean = states.boxplus(present.mean, G @ states.boxminus(later.mean, predicted.mean))
     return Gaussian(mean, symmetric(present.cov + G @ (later.cov - predicted.cov) @ G.T))

@@ -15,10 +15,10 @@ from kedge.core.manifolds import space_of
 from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import REPEATED, Readings
-from kedge.estimation.passage import passage
 from kedge.estimation.reading import bind_reading, is_positive_definite
 from kedge.estimation.recovery import Clocks, new_clocks, recover
 from kedge.estimation.rig import Installation, Rig, as_arrays
+from kedge.estimation.transition import predict_with_record
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.random import fold_in
 
@@ -132,7 +132,7 @@ def predict_to(
     number = state.predictions + jnp.where(time > state.time, 1, 0)
     dt = time - state.time if dt is None else dt
     motion = filter, vehicle, state.belief, control, dt, prediction_key(key, number)
-    belief, kept = passage(*motion) if record else (advance(*motion), None)
+    belief, kept = predict_with_record(*motion) if record else (advance(*motion), None)
     last = jnp.maximum(time, state.time)
     return state._replace(belief=belief, time=last, predictions=number), kept
 

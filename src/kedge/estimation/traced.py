@@ -11,9 +11,9 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.verdicts import Verdict
 from kedge.estimation import views
 from kedge.estimation.log import Log
-from kedge.estimation.passage import is_smoothable
 from kedge.estimation.rig import Rig
 from kedge.estimation.step import FilterState, Outcome, begin, predict_to, process_scheduled
+from kedge.estimation.transition import is_smoothable
 
 if TYPE_CHECKING:
     import pandas

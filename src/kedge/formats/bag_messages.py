@@ -158,9 +158,9 @@ def _decoder(encoding: str, schema: Any, message: Any) -> Callable[[bytes], Any]
     if encoding == "protobuf":
         from mcap_protobuf.decoder import DecoderFactory
 
-        found = DecoderFactory().decoder_for(encoding, schema)
-        if found is not None:
-            return found
+        decoder = DecoderFactory().decoder_for(encoding, schema)
+        if decoder is not None:
+            return decoder
     if encoding in ("ros1", "cdr") and schema is not None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -158,20 +158,20 @@ def _map(path: Path, rows: Rows) -> TargetMap:
 
 def _find(content: Any, way: str, place: str) -> Any:
     """Follow a way of names and [indices] into a message."""
-    found = content
+    value = content
     for name, index in STEP.findall(way):
         try:
             if index:
-                found = found[int(index)]
+                value = value[int(index)]
             else:
-                found = found[name] if isinstance(found, dict) else getattr(found, name)
+                value = value[name] if isinstance(value, dict) else getattr(value, name)
         except (AttributeError, KeyError, IndexError, TypeError):
             step = f"[{index}]" if index else repr(name)
             raise DataError(
                 f"{place}: no {step} on the way {way!r}; there are "
-                f"{', '.join(_names(found)) or 'no fields'}"
+                f"{', '.join(_names(value)) or 'no fields'}"
             ) from None
-    return found
+    return value
 
 
 def _names(content: Any) -> list[str]:
@@ -203,26 +203,26 @@ def _numbers(name: str, content: Any, column: FieldConfig, place: str) -> tuple[
 
 
 def _number(content: Any, way: str, place: str) -> float:
-    found = _find(content, way, place)
+    value = _find(content, way, place)
     try:
-        return float(found)
+        return float(value)
     except (TypeError, ValueError, OverflowError):
-        kind = type(found).__name__
+        kind = type(value).__name__
         raise DataError(f"{place}: {way!r}: found a {kind}, expected a number") from None
 
 
 def _stamp(content: Any, spec: TopicConfig, place: str) -> int:
     """A stamp in ns: of ROS, of Protobuf, of Foxglove's JSON, or a plain number."""
-    found = _find(content, spec.stamp, place)
-    if isinstance(found, int | float | str | np.number):
+    value = _find(content, spec.stamp, place)
+    if isinstance(value, int | float | str | np.number):
         try:
-            return nanoseconds(Decimal(str(found)), TIME_UNITS[spec.stamp_unit])
+            return nanoseconds(Decimal(str(value)), TIME_UNITS[spec.stamp_unit])
         except (ValueError, ArithmeticError):
             raise DataError(
-                f"{place}: {spec.stamp!r}: found {found!r}, expected a time"
+                f"{place}: {spec.stamp!r}: found {value!r}, expected a time"
             ) from None
-    for whole, rest in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos")):
-        parts = [_or_none(found, name) for name in (whole, rest)]
+    for whole, fraction in (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos")):
+        parts = [_or_none(value, name) for name in (whole, fraction)]
         if None not in parts:
             with contextlib.suppress(TypeError, ValueError, OverflowError):
                 return int(parts[0]) * 10**9 + int(parts[1])
@@ -230,7 +230,7 @@ def _stamp(content: Any, spec: TopicConfig, place: str) -> int:
                 f"{place}: {spec.stamp!r}: found {parts}, expected two whole numbers"
             )
     raise DataError(
-        f"{place}: {spec.stamp!r}: found {', '.join(_names(found))}, expected a time; "
+        f"{place}: {spec.stamp!r}: found {', '.join(_names(value))}, expected a time; "
         'stamp = "bag" takes the time of recording'
     )
 

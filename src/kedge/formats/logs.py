@@ -114,8 +114,8 @@ class MapSource(Strict):
             yield "ids: expected either ids with values, or a file"
         for name in self.columns if self.ids is not None else ():
             if len(self.values.get(name, ())) != len(self.ids or ()):
-                found = len(self.values.get(name, ()))
-                yield f"values.{name}: found {found} numbers, expected {len(self.ids or ())}"
+                count = len(self.values.get(name, ()))
+                yield f"values.{name}: found {count} numbers, expected {len(self.ids or ())}"
 
 
 class LogConfig(Strict):

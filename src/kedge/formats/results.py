@@ -123,7 +123,7 @@ def _without_null(value: Any) -> Any:
 
 def digest(*parts: Any) -> str:
     """SHA-256 over arrays (their bytes), texts and plain values, in order."""
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
     for part in parts:
         if isinstance(part, str):
             data = part.encode()
@@ -132,8 +132,8 @@ def digest(*parts: Any) -> str:
         else:
             data = json.dumps(plain(part), sort_keys=True).encode()
         # The length keeps two parts from meaning the same as their concatenation.
-        found.update(len(data).to_bytes(8, "big") + data)
-    return found.hexdigest()
+        hasher.update(len(data).to_bytes(8, "big") + data)
+    return hasher.hexdigest()
 
 
 def _cells(values: np.ndarray) -> list[str]:

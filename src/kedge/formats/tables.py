@@ -118,8 +118,8 @@ class Cells(NamedTuple):
         )
         wide = [at for at, stamp in enumerate(stamps) if not -(2**63) <= stamp < 2**63]
         if wide:
-            found = repr(self.columns[column][wide[0]])
-            raise self._wrong(wide[0], column, found, f"a time in {unit} within 292 years of 0")
+            shown = repr(self.columns[column][wide[0]])
+            raise self._wrong(wide[0], column, shown, f"a time in {unit} within 292 years of 0")
         return np.array(stamps, np.int64)
 
     def _parsed(self, column: str, text: list[str], parse, kind: str) -> list:
@@ -137,9 +137,9 @@ class Cells(NamedTuple):
                 raise self._wrong(at, column, repr(text[at]), kind) from None
         raise AssertionError("one cell could not be parsed")
 
-    def _wrong(self, at: int, column: str, found: str, expected: str) -> DataError:
+    def _wrong(self, at: int, column: str, shown: str, expected: str) -> DataError:
         place = f"{self.path}:{self.lines[at]}: column {column!r}"
-        return DataError(f"{place}: found {found}, expected {expected}")
+        return DataError(f"{place}: found {shown}, expected {expected}")
 
 
 def read_cells(path: Path, header: Sequence[str] | None = None) -> Cells:
@@ -360,9 +360,9 @@ def require_finite(table: Table, columns: Collection[str], role: str) -> None:
         bad = ~np.isfinite(table.column(name))
         if bad.any():
             line, value = table.lines[np.argmax(bad)], table.columns[name][np.argmax(bad)]
-            found = "nothing" if np.isnan(value) else f"{value}"
+            shown = "nothing" if np.isnan(value) else f"{value}"
             raise DataError(
-                f"{table.path}:{line}: column {name!r}: found {found}, expected a finite "
+                f"{table.path}:{line}: column {name!r}: found {shown}, expected a finite "
                 f"number: {role} must be complete"
             )
 

@@ -52,12 +52,12 @@ class Strict(BaseModel):
     @model_validator(mode="after")
     def _consistent(self):
         try:
-            found = list(self.validation_errors())
+            errors = list(self.validation_errors())
         except (ValueError, AssertionError) as error:
             # Pydantic would blame the file for what is wrong in the code that checks it.
             raise _Failed from error
-        if found:
-            raise ValueError("\n".join(found))
+        if errors:
+            raise ValueError("\n".join(errors))
         return self
 
 
@@ -97,9 +97,9 @@ def read_toml(
     except _Failed as failure:
         raise failure.__cause__ or failure from None
     except ValidationError as failure:
-        found = _validation_errors(failure, model)
+        errors = _validation_errors(failure, model)
     lines = []
-    for keys, message in found:
+    for keys, message in errors:
         at = None if any(keys[: len(c)] == c for c in changed) else _line_of(text, keys)
         place = f"{path}:{at}" if at else f"{path}"
         lines.append(f"{place}: {'.'.join(map(str, keys))}: {message}")

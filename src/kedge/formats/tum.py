@@ -138,5 +138,5 @@ def _parsed(fields: list[str]) -> tuple[int, list[float]]:
 
 
 def _seconds(stamp: int) -> str:
-    whole, rest = divmod(abs(stamp), 1_000_000_000)
-    return f"{'-' if stamp < 0 else ''}{whole}.{rest:09d}"
+    whole, nanoseconds = divmod(abs(stamp), 1_000_000_000)
+    return f"{'-' if stamp < 0 else ''}{whole}.{nanoseconds:09d}"

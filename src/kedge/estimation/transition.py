@@ -17,7 +17,7 @@ from kedge.numerics.linalg import cholesky, gain
 
 
 class History(NamedTuple):
-    """The passage of a Gaussian."""
+    """The record of a Gaussian's prediction."""
 
     predicted: Gaussian
     cross: Float[Array, "*T n n"]
@@ -31,7 +31,7 @@ class History(NamedTuple):
 
 
 class EnsembleHistory(NamedTuple):
-    """The passage of an ensemble, whose covariance may have no inverse."""
+    """The record of an ensemble's prediction, whose covariance may have no inverse."""
 
     predicted: Gaussian
     gain: Float[Array, "*T n n"]
@@ -60,7 +60,7 @@ def require_smoothable(filter: AbstractFilter) -> None:
         )
 
 
-def passage(
+def predict_with_record(
     filter: AbstractFilter,
     vehicle: AbstractVehicle,
     belief: Any,
