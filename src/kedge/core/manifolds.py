@@ -288,12 +288,12 @@ class Within:
 @ft.cache
 def ranges_of(cls: Any) -> dict[str, Within]:
     """The ranges of those fields of a ``NamedTuple`` that have one."""
-    found = {}
+    ranges = {}
     for name, hint in get_type_hints(cls, include_extras=True).items():
         for note in getattr(hint, "__metadata__", ()):
             if isinstance(note, Within):
-                found[name] = note
-    return found
+                ranges[name] = note
+    return ranges
 
 
 @ft.cache

@@ -106,13 +106,13 @@ MOVED_TO = {
 
 def moved_modules() -> dict[str, str]:
     """Old module -> new module."""
-    found: dict[str, str] = {}
+    modules: dict[str, str] = {}
     for new, sources in MOVED_TO.items():
         for old, names in sources.items():
             for pair in names.split():
                 before, _, after = pair.partition("=")
-                found[f"kedge.{old}.{before}"] = f"kedge.{new}.{after or before}"
-    return found
+                modules[f"kedge.{old}.{before}"] = f"kedge.{new}.{after or before}"
+    return modules
 
 
 GONE = {

@@ -23,7 +23,7 @@ def clipped(recording: Recording, vehicle: AbstractVehicle) -> dict[str, Any]:
     if limits is None:
         return {}
     time = np.asarray(log.schedule.time)
-    spans, count, found = np.diff(time, prepend=0.0), len(time), {}
+    spans, count, shares = np.diff(time, prepend=0.0), len(time), {}
     size = np.concatenate([np.abs(np.reshape(v, (count, -1))) for v in log.controls], axis=1)
     ends = _ends(limits, [np.shape(value)[1:] for value in log.controls])
     # A control is held until it is told anew; telling the same again is no other command.
@@ -31,13 +31,13 @@ def clipped(recording: Recording, vehicle: AbstractVehicle) -> dict[str, Any]:
     for place, label in enumerate(space_of(type(log.controls)).labels):
         beyond = size[:, place] > ends[place] * (1 + ROUNDING)
         if beyond.any():
-            found[label] = {
+            shares[label] = {
                 "limit": float(ends[place]),
                 "commands": int((beyond & anew[:, place]).sum()),
                 "seconds": float(spans[beyond].sum()),
                 "largest": float(size[:, place].max()),
             }
-    return found
+    return shares
 
 
 def beyond(control: Any, limits: Any) -> list[str]:
@@ -48,13 +48,13 @@ def beyond(control: Any, limits: Any) -> list[str]:
     return [label for label, is_far in zip(labels, far, strict=True) if is_far]
 
 
-def sentences(found: dict[str, Any]) -> list[str]:
+def sentences(shares: dict[str, Any]) -> list[str]:
     """What a user should know of it."""
     return [
         f"control: {label} was told {entry['commands']} times to be beyond its limit of "
         f"{entry['limit']:.3g} (up to {entry['largest']:.3g}), for {entry['seconds']:.1f} s in "
         "all; it acts as the limit"
-        for label, entry in found.items()
+        for label, entry in shares.items()
     ]
 
 

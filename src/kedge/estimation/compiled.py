@@ -41,7 +41,7 @@ def compiled_pass(
     history: bool,
     engine: Engine = "auto",
     keep: Callable[[Estimates], Any] | None = None,
-    own: Any = None,
+    per_run: Any = None,
     work: int = 0,
 ) -> Any:
     """The pass in machine code, or None if XLA is to do it. Parameters must be arrays.
@@ -63,7 +63,7 @@ def compiled_pass(
         from kedge.estimation.native import native_pass
 
         try:
-            return native_pass(filter, rig, log, history, keep, own, work)
+            return native_pass(filter, rig, log, history, keep, per_run, work)
         except Unsupported as error:
             why = str(error)
     if chosen == "native" and engine == "native":

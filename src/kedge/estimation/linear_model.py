@@ -275,7 +275,7 @@ def diffuse(mean: Any, variance: Scalar | float = 1e6) -> Gaussian:
 
 
 def _fitting(name: str, value: Numbers, shape: tuple[int, ...]) -> Shaped[Array, "..."]:
-    found = jnp.asarray(value, float)
-    if found.shape != shape:
-        raise ContractError(f"{name} has the shape {found.shape}, expected {shape}")
-    return found
+    array = jnp.asarray(value, float)
+    if array.shape != shape:
+        raise ContractError(f"{name} has the shape {array.shape}, expected {shape}")
+    return array

@@ -179,7 +179,7 @@ def alike(recordings: Sequence[Recording]) -> list[Recording]:
         leaf = jnp.asarray(leaf)
         return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], size - len(leaf), axis=0)])
 
-    found = []
+    recordings_of_one_shape = []
     for one in recordings:
         time, sensor, row = one.log.schedule
         idle = jnp.full(events - len(sensor), -1, jnp.asarray(sensor).dtype)
@@ -193,5 +193,5 @@ def alike(recordings: Sequence[Recording]) -> list[Recording]:
             jax.tree.map(lambda leaf, n=int(n): longer(leaf, n), part)
             for part, n in zip(one.log.readings, most, strict=True)
         )
-        found.append(one._replace(log=Log(schedule, controls, readings)))
-    return found
+        recordings_of_one_shape.append(one._replace(log=Log(schedule, controls, readings)))
+    return recordings_of_one_shape

@@ -65,19 +65,19 @@ def seen_from(mount: Mount, state: Any) -> Any:
             position=state.position + arm, heading=wrap(state.heading + mount.heading)
         )
     turned, arm, attitude = mount.body_from_sensor, mount.arm, state.attitude
-    moved = {
+    at_mount = {
         "position": state.position + rotate(attitude, arm),
         "attitude": multiply(attitude, turned),
     }
     rate = getattr(state, "angular_rate", None)
     swing = jnp.zeros(3) if rate is None else jnp.cross(rate, arm)
     if rate is not None:
-        moved["angular_rate"] = rotate(conjugate(turned), rate)
+        at_mount["angular_rate"] = rotate(conjugate(turned), rate)
         if hasattr(state, "velocity"):
-            moved["velocity"] = state.velocity + rotate(attitude, swing)
+            at_mount["velocity"] = state.velocity + rotate(attitude, swing)
     if hasattr(state, "velocity_body"):
-        moved["velocity_body"] = rotate(conjugate(turned), state.velocity_body + swing)
-    return state._replace(**moved)
+        at_mount["velocity_body"] = rotate(conjugate(turned), state.velocity_body + swing)
+    return state._replace(**at_mount)
 
 
 def validation_error(mount: Mount, has: dict[str, Chart], reads: set[str]) -> str | None:

@@ -56,12 +56,12 @@ class NativePass:
     def __init__(
         self,
         traced: Traced,
-        own: Sequence[bool] | None,
+        per_run: Sequence[bool] | None,
         wanted: frozenset[int] | None,
         limits: Limits = SHORT,
     ):
-        batched = own is not None
-        flags = own or [False] * len(traced.arguments)
+        batched = per_run is not None
+        flags = per_run or [False] * len(traced.arguments)
         arguments = [
             a._replace(per_run=o) for a, o in zip(traced.arguments, flags, strict=True)
         ]
@@ -95,12 +95,12 @@ class NativePass:
         self.kernel.run(self.arrays(leaves), kept[1], events, runs)
         return kept[1]
 
-    def tree(self, leaves: Sequence[Any], found: Sequence[Any]) -> Any:
+    def tree(self, leaves: Sequence[Any], values: Sequence[Any]) -> Any:
         """Results in the form that the traced program has; None where they are not wanted."""
         flat: list[Any] = [None] * self.results.num_leaves
         for place, number in self.kernel.passed.items():
             flat[place] = leaves[number]
-        for place, value in zip(self.kernel.places, found, strict=True):
+        for place, value in zip(self.kernel.places, values, strict=True):
             flat[place] = value
         return jax.tree.unflatten(self.results, flat)
 
@@ -124,8 +124,8 @@ class One:
         def call() -> Any:
             outputs = kernel.fresh(events, 1)
             kernel.run(arrays, outputs, events)
-            found = jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
-            estimates, history, _ = self.compiled.tree(leaves, found)
+            returned = jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
+            estimates, history, _ = self.compiled.tree(leaves, returned)
             if self.keep is not None:
                 return _picked(self.keep, estimates)
             return (estimates, history) if self.history else estimates
@@ -166,8 +166,8 @@ class Many:
 
 def by_run(array: Any, runs: int) -> Any:
     """Numbers by group of runs, event, place and run within the group, in the order of runs."""
-    moved = jnp.moveaxis(array, -1, 1)
-    return moved.reshape(-1, *moved.shape[2:])[:runs]
+    runs_last = jnp.moveaxis(array, -1, 1)
+    return runs_last.reshape(-1, *runs_last.shape[2:])[:runs]
 
 
 @eqx.filter_jit
@@ -182,11 +182,11 @@ def _unpacked(
     """Results run by run, and of each what is kept; one compiled program."""
     kernel = compiled.kernel
 
-    def one(own: list[Any]) -> Any:
+    def one(values: list[Any]) -> Any:
         flat: list[Any] = [None] * compiled.results.num_leaves
         for place, value in zip(kernel.passed, passed, strict=True):
             flat[place] = value
-        for place, value in zip(kernel.places, own, strict=True):
+        for place, value in zip(kernel.places, values, strict=True):
             flat[place] = value
         estimates = jax.tree.unflatten(compiled.results, flat)[0]
         return estimates if keep is None else keep(estimates)
@@ -200,7 +200,7 @@ def native_pass(
     log: Log,
     history: bool,
     keep: Keep,
-    own: Any,
+    per_run: Any,
     work: int = 0,
 ) -> One | Many:
     """The compiled pass for this structure and these shapes; compiled once in a process.
@@ -211,7 +211,7 @@ def native_pass(
     if log.schedule.time.shape[0] == 0:
         raise Unsupported("a log without events")
     leaves, structure = jax.tree.flatten((filter, rig, log))
-    flags = None if own is None else tuple(jax.tree.leaves(own))
+    flags = None if per_run is None else tuple(jax.tree.leaves(per_run))
     model, rows = (
         jax.tree.map(lambda _: False, (filter, rig)),
         jax.tree.map(lambda _: True, log),

@@ -34,15 +34,15 @@ class NativeStep:
     def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any] | None:
         """The state after an event, the moments, the outcome and the smoother's share."""
         reading = event.reading
-        own = event.rank if reading is not None and reading.cov is not None else NO_EVENT
-        if own not in self._programs:
-            self._programs[own] = self._compiled(own)
-        program = self._programs[own]
+        with_cov = event.rank if reading is not None and reading.cov is not None else NO_EVENT
+        if with_cov not in self._programs:
+            self._programs[with_cov] = self._compiled(with_cov)
+        program = self._programs[with_cov]
         return None if program is None else program.take(state, event)
 
-    def _compiled(self, own: int) -> "Program | None":
+    def _compiled(self, with_cov: int) -> "Program | None":
         readings = tuple(
-            _blank(installation.sensor.measures, number == own)
+            _blank(installation.sensor.measures, number == with_cov)
             for number, installation in enumerate(self._rig.sensors)
         )
         time: Any = np.zeros(1)
@@ -50,11 +50,15 @@ class NativeStep:
         row: Any = np.zeros(1, np.int64)
         controls = jax.tree.map(lambda leaf: np.zeros((1, *np.shape(leaf))), self._control)
         log = Log(Schedule(time, sensor, row), controls, readings)
-        found = compiled_pass(
+        compiled = compiled_pass(
             self._filter, self._rig, jax.tree.map(jax.numpy.asarray, log), self._history,
             self._engine,
         )  # fmt: skip
-        return None if found is None else Program(found.compiled, self._filter, self._rig, log)
+        return (
+            None
+            if compiled is None
+            else Program(compiled.compiled, self._filter, self._rig, log)
+        )
 
 
 class Program:
@@ -98,15 +102,13 @@ class Program:
         schedule.time[0] = event.time
         schedule.sensor[0] = NO_EVENT if reading is None else event.rank
         if state.control is not self._held:  # else it stands there
-            for there, value in zip(
-                self._controls, jax.tree.leaves(state.control), strict=True
-            ):
-                there[0] = value
+            for slot, value in zip(self._controls, jax.tree.leaves(state.control), strict=True):
+                slot[0] = value
             self._held = state.control
         if reading is not None:
             place = self._readings[event.rank]
-            for there, value in zip(place, jax.tree.leaves(reading), strict=True):
-                there[0] = value
+            for slot, value in zip(place, jax.tree.leaves(reading), strict=True):
+                slot[0] = value
         carry = self._carry[0]
         carry[:] = self._packed(state) if state.words is None else state.words
         self._call(self._address)

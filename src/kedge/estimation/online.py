@@ -76,13 +76,13 @@ class Estimator:
         capacity: int = 10_000,
         engine: Engine = "auto",
     ):
-        for name, found, good in (
+        for name, value, good in (
             ("lag", lag, 0 <= lag < math.inf),
             ("horizon", horizon, horizon > 0),
             ("capacity", capacity, capacity >= 1),
         ):
             if not good:
-                raise DataError(f"estimator: {name} is {found}, expected {_EXPECTED[name]}")
+                raise DataError(f"estimator: {name} is {value}, expected {_EXPECTED[name]}")
         self._key = jax.random.key(0) if key is None else key
         self._filter, self._rig = as_arrays((filter.bind_sensors(rig.names), rig))
         self._width = widest(rig.sensors)
@@ -155,8 +155,8 @@ class Estimator:
         rank = len(self._ranks) if control is None else -1
         reading = None
         if sensor is not None:
-            found = self._ranks.get(sensor)
-            rank = self._rig.index(sensor) if found is None else found
+            known = self._ranks.get(sensor)
+            rank = self._rig.index(sensor) if known is None else known
             which: Any = np.asarray(target)
             spread = None if cov is None else _floats(cov)
             reading = Readings(_floats(measurement), which, spread)
@@ -189,15 +189,15 @@ class Estimator:
         Source: S. Särkkä, "Bayesian Filtering and Smoothing", 2013, sections 8.2 and 10.6.
         """
         require_smoothable(self._filter)
-        found: list[tuple[float, Gaussian]] = []
+        beliefs: list[tuple[float, Gaussian]] = []
         later: Any = None
         for entry in reversed(self._window.entries):
             filtered = _moments(entry.after.filter.belief)
             if later is not None:
-                filtered = _backward(filtered, found[-1][1], later)
-            found.append((entry.event.time, filtered))
+                filtered = _backward(filtered, beliefs[-1][1], later)
+            beliefs.append((entry.event.time, filtered))
             later = entry.record
-        return found[::-1]
+        return beliefs[::-1]
 
     def _take(self, event: Event) -> Answer:
         place = self._window.place(event)
@@ -241,8 +241,8 @@ class Estimator:
         return Entry(event, State(after, event.time, control), outcome, record)
 
     def _unchanged(self, event: Event, verdict: Verdict) -> Answer:
-        said = verdict if event.reading is not None else Verdict.NONE
-        outcome = silence(self._width)._replace(verdict=jnp.asarray(said))
+        recorded = verdict if event.reading is not None else Verdict.NONE
+        outcome = silence(self._width)._replace(verdict=jnp.asarray(recorded))
         return Answer(_moments(self.belief), outcome)
 
 

@@ -197,8 +197,8 @@ def _linear(
     elements = jax.tree.map(
         lambda first, rest: jnp.concatenate([first[None], rest]), prior, elements
     )
-    found = lax.associative_scan(jax.vmap(associative.after), elements)
-    means, covs = found.b[1:], found.C[1:]
+    scanned = lax.associative_scan(jax.vmap(associative.after), elements)
+    means, covs = scanned.b[1:], scanned.C[1:]
 
     following = jax.tree.map(lambda leaf: leaf[1:], motions)
     pulls = jax.vmap(associative.given_later)(means[:-1], covs[:-1], following)

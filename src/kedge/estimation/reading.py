@@ -63,8 +63,8 @@ class BoundMeasurement(AbstractMeasurementModel):
 
     def ranging(self, state: Any) -> Ranging | None:
         """The sensor's, without what is missing."""
-        found = self.installation.ranging(state, self.target)
-        return None if found is None else found._replace(present=self.present)
+        ranging = self.installation.ranging(state, self.target)
+        return None if ranging is None else ranging._replace(present=self.present)
 
     def dof(self) -> Int[Array, ""]:
         """How many components are there."""

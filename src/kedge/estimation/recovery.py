@@ -105,8 +105,8 @@ def recover(
             reading = Readings(other.expect(expected_by, target), target, None)
             # A question, not an update: what it draws is thrown away.
             model, measurement = bind_reading(other, reading)
-            moved = trusting.update(model, anew, measurement, key)[1]
-            return ~(moved.nis <= CONFIRMED * moved.dof)
+            outcome = trusting.update(model, anew, measurement, key)[1]
+            return ~(outcome.nis <= CONFIRMED * outcome.dof)
 
         return jnp.any(jax.vmap(by)(jnp.arange(len(fused))) & (time - fused < recovery))
 

@@ -80,12 +80,14 @@ class Installation(eqx.Module):
 
     def ranging(self, state: Any, target: Int[Array, ""]) -> Ranging | None:
         """The anchors of a sensor of ranges, moved so that they say where the vehicle is."""
-        moved = self._moved(state)
+        at_mount = self._moved(state)
         sensor = self.sensor.for_target(target)
-        found = sensor.ranging(sensor.project(moved))
-        if found is None or self.mount is None:
-            return found
-        return found._replace(anchors=found.anchors - (moved.position - state.position)[None])
+        ranging = sensor.ranging(sensor.project(at_mount))
+        if ranging is None or self.mount is None:
+            return ranging
+        return ranging._replace(
+            anchors=ranging.anchors - (at_mount.position - state.position)[None]
+        )
 
     @property
     def targets(self) -> int | None:

@@ -53,13 +53,13 @@ def estimate_runs(
         raise DataError(f"runs: found {sorted(counts)} of them, expected one number above 0")
     (count,) = counts
     filter, rig = as_arrays((filter, rig))
-    common, own = (
+    common, per_run = (
         ft.partial(jax.tree.map, lambda _: False),
         ft.partial(jax.tree.map, lambda _: True),
     )
     flags = (
         common((filter, rig)),
-        Log(common(log.schedule), own(log.controls), own(log.readings)),
+        Log(common(log.schedule), per_run(log.controls), per_run(log.readings)),
     )
     native = compiled_pass(
         filter, rig, log, False, engine, keep, flags, count * len(log.schedule.time)
@@ -99,8 +99,8 @@ def _even(count: int, most: int) -> int:
 
 
 def _part(log: Log, begin: int, step: int) -> Log:
-    own = jax.tree.map(lambda leaf: leaf[begin : begin + step], (log.controls, log.readings))
-    return Log(log.schedule, *own)
+    part = jax.tree.map(lambda leaf: leaf[begin : begin + step], (log.controls, log.readings))
+    return Log(log.schedule, *part)
 
 
 def joined(parts: list[Any]) -> Any:
@@ -120,7 +120,7 @@ def _some(
     keep: Callable[[Estimates], Any],
 ) -> Any:
     def one(run: Int[Array, ""], controls: Any, readings: Any) -> Any:
-        own = Log(log.schedule, controls, readings)
-        return keep(pass_over(filter, rig, own, jr.fold_in(key, run), False)[0])
+        one_log = Log(log.schedule, controls, readings)
+        return keep(pass_over(filter, rig, one_log, jr.fold_in(key, run), False)[0])
 
     return jax.vmap(one)(index, log.controls, log.readings)

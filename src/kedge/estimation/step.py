@@ -90,9 +90,9 @@ def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) ->
         lambda key: filter.predict(vehicle, belief, control, jnp.ones(()), key), jr.key(0)
     )
 
-    def fill(own: Any, later: Any) -> Any:
-        if own is not None:
-            return own
+    def fill(value: Any, later: Any) -> Any:
+        if value is not None:
+            return value
         return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), later)
 
     return jax.tree.map(fill, belief, predicted, is_leaf=is_gap)

@@ -87,12 +87,12 @@ def _moving(
     if isinstance(filter, AbstractGaussianFilter):
         predicted, cross = filter.transition(vehicle, belief, control, dt)
         return predicted, History(predicted.moments(), cross)
-    moved = filter.predict(vehicle, belief, control, dt, key)
+    after = filter.predict(vehicle, belief, control, dt, key)
     if isinstance(filter, AbstractWrapper):
         # The compiler finds that the inner prediction is done already.
         inside = filter.unwrap(belief)
-        return moved, _moving(filter.inner, vehicle, inside, control, dt, key)[1]
-    return moved, _ensemble_history(belief, moved)
+        return after, _moving(filter.inner, vehicle, inside, control, dt, key)[1]
+    return after, _ensemble_history(belief, after)
 
 
 def _still(filter: AbstractFilter, belief: Any) -> History | EnsembleHistory:

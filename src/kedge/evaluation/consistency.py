@@ -92,11 +92,11 @@ def nis(
     Tracking and Navigation", 2001, section 5.4.2.
     """
     residual, cov = jnp.asarray(residual), jnp.asarray(cov)
-    there = ~jnp.isnan(residual)
-    both = there[..., :, None] & there[..., None, :]
+    present = ~jnp.isnan(residual)
+    both = present[..., :, None] & present[..., None, :]
     unit = jnp.broadcast_to(jnp.eye(residual.shape[-1], dtype=cov.dtype), cov.shape)
-    squared = nees(jnp.where(there, residual, 0.0), jnp.where(both, cov, unit))
-    return jnp.where(jnp.any(there, axis=-1), squared, jnp.nan)
+    squared = nees(jnp.where(present, residual, 0.0), jnp.where(both, cov, unit))
+    return jnp.where(jnp.any(present, axis=-1), squared, jnp.nan)
 
 
 def chi_square_bound(dof: float | int, probability: float) -> float:
@@ -192,23 +192,25 @@ def whiteness(
     _require_probability(probability)
     if not 1 <= lags < len(residuals):
         raise ConfigError(f"lags: found {lags}, expected 1 to {len(residuals) - 1}")
-    there = ~np.isnan(residuals)
-    values, sizes = np.where(there, residuals, 0.0), there.sum(axis=0)
+    present = ~np.isnan(residuals)
+    values, sizes = np.where(present, residuals, 0.0), present.sum(axis=0)
     power = np.sum(values**2, axis=0)
     if not np.all(power > 0):
         raise DataError(f"component {int(np.argmin(power))} is always NaN or always zero")
-    own = np.stack([np.sum(values[:-k] * values[k:], axis=0) for k in range(1, lags + 1)])
-    pairs = np.stack([np.sum(there[:-k] & there[k:], axis=0) for k in range(1, lags + 1)])
+    correlation = np.stack(
+        [np.sum(values[:-k] * values[k:], axis=0) for k in range(1, lags + 1)]
+    )
+    pairs = np.stack([np.sum(present[:-k] & present[k:], axis=0) for k in range(1, lags + 1)])
     if not np.any(pairs):
         raise DataError(f"no two values are {lags} rows or fewer apart: pass one sensor's rows")
-    own = own / power[None]
+    correlation = correlation / power[None]
     # The variance of r_ik is N_ik / (n_i (n_i + 2)), exactly so for white normal values.
     weight = (sizes * (sizes + 2.0))[None]
-    statistic = float(np.sum(weight * own**2 / np.maximum(pairs, 1)))
+    statistic = float(np.sum(weight * correlation**2 / np.maximum(pairs, 1)))
     dof = int(np.count_nonzero(pairs))
     p_value = float(chdtrc(dof, statistic))
     total = np.where(np.any(pairs, axis=1), pairs.sum(axis=1), np.nan)
-    pooled = np.sum(own * sizes[None], axis=1) / total
+    pooled = np.sum(correlation * sizes[None], axis=1) / total
     spread = np.sqrt(np.sum(sizes[None] ** 2 * pairs / weight, axis=1)) / total
     band = float(ndtri((1 + probability) / 2)) * spread
     lag, white = np.arange(1, lags + 1), p_value >= 1 - probability
@@ -232,11 +234,11 @@ def mean_interval(values: Float[np.ndarray, " T"], probability: float = 0.95) ->
     section 3.3 (initial monotone sequence).
     """
     _require_probability(probability)
-    there = ~np.isnan(values)
-    if (count := int(there.sum())) < 2:
+    known = ~np.isnan(values)
+    if (count := int(known.sum())) < 2:
         raise DataError(f"a mean interval needs two values or more, found {count}")
-    mean = float(np.mean(values[there]))
-    deviation = np.where(there, values - mean, 0.0)
+    mean = float(np.mean(values[known]))
+    deviation = np.where(known, values - mean, 0.0)
     # Zeros up to twice the length keep the circular correlation from wrapping round.
     spectrum = np.abs(np.fft.rfft(deviation, 2 * len(values))) ** 2
     covariance = np.fft.irfft(spectrum)[: len(values)]

@@ -59,27 +59,27 @@ def concerns(name: str, scores: HealthScores, verdicts: Mapping[str, int]) -> li
 
     ``verdicts`` counts those of all readings.
     """
-    said = []
+    warnings = []
     if scores.repairs:
-        said.append(
+        warnings.append(
             f"{name}: a covariance had to be repaired {scores.repairs} times; it was not "
             "positive semi-definite. A square-root filter cannot lose it."
         )
     if (scores.smallest_eigenvalue or 0.0) < -1e-9:
-        said.append(
+        warnings.append(
             f"{name}: a covariance is not positive semi-definite; the least eigenvalue of its "
             f"correlations is {scores.smallest_eigenvalue:.1e}."
         )
     if scores.depleted:
         judged = sum(verdicts.get(v.name, 0) for v in (Verdict.FUSED, Verdict.DROPPED))
-        said.append(
+        warnings.append(
             f"{name}: no particle explained {scores.depleted} of {judged} readings, which "
             "were left out; more particles, or a wider start or noise, would."
         )
     if scores.collapsed:
-        said.append(
+        warnings.append(
             f"{name}: at {scores.collapsed} readings one particle carried nearly all the "
             "weight; there the estimate is that of luck."
         )
-    said += refusals.sentences(name, scores.refusals)
-    return said + silences.sentences(name, scores.silences)
+    warnings += refusals.sentences(name, scores.refusals)
+    return warnings + silences.sentences(name, scores.silences)

@@ -40,7 +40,7 @@ def refusals(estimates: Estimates, recording: Recording, rig: Rig) -> dict[str, 
 
 def sentences(name: str, by_sensor: Mapping[str, Refusals]) -> list[str]:
     """What a user should know of it."""
-    said = []
+    warnings = []
     for sensor, entry in by_sensor.items():
         times = [f"{t:.1f} s" for t in entry.recovered]
         acted = "none was let in"
@@ -49,10 +49,10 @@ def sentences(name: str, by_sensor: Mapping[str, Refusals]) -> list[str]:
             acted = f"one was let in at {', '.join(times[:3])}{more}"
         if entry.stretches:
             begin, end = max(entry.stretches, key=lambda s: s[1] - s[0])
-            said.append(
+            warnings.append(
                 f"{name}: all readings of {sensor} were outliers for {end - begin:.1f} s, from "
                 f"{begin:.1f} s on (the longest of {len(entry.stretches)}); {acted}."
             )
         else:
-            said.append(f"{name}: after nothing but outliers of {sensor} {acted}.")
-    return said
+            warnings.append(f"{name}: after nothing but outliers of {sensor} {acted}.")
+    return warnings

@@ -199,8 +199,8 @@ def in_the_map(truth: Truth, track: Track) -> Truth:
         raise DataError("truth in a frame of its own needs positions to be moved by")
     known = Trajectory(truth.time, truth.fields["position"])
     estimate, true = associate(Trajectory(track.time, track.mean.position), known, MAX_GAP)
-    moved = umeyama(true.position, estimate.position, False).apply(known)
-    return Truth(truth.time, {"position": moved.position})
+    aligned = umeyama(true.position, estimate.position, False).apply(known)
+    return Truth(truth.time, {"position": aligned.position})
 
 
 def _between(
@@ -227,32 +227,32 @@ def _with_errors(
 
     ``others`` are squared errors of which only the RMSE is wanted, by name.
     """
-    there = ~np.isnan(errors.error).any(axis=1)
-    if not there.any():
+    known = ~np.isnan(errors.error).any(axis=1)
+    if not known.any():
         raise DataError("truth covers none of the output times")
     rmse, share, mean_nees = {}, {}, {}
     for field, cut in errors.fields.items():
         squared = np.sum(errors.error[:, cut] ** 2, axis=1)
         rmse[field] = _root_mean(squared)
-        inside = coverage(errors.error[there][:, cut], errors.cov[there][:, cut, cut])
+        inside = coverage(errors.error[known][:, cut], errors.cov[known][:, cut, cut])
         share[field] = float(inside)
         mean_nees[field] = float(
-            jnp.mean(nees(errors.error[there][:, cut], errors.cov[there][:, cut, cut]))
+            jnp.mean(nees(errors.error[known][:, cut], errors.cov[known][:, cut, cut]))
         )
         if cut.stop - cut.start > 1:
             for index in range(cut.start, cut.stop):
                 label = errors.labels[index]
                 rmse[label] = _root_mean(errors.error[:, index] ** 2)
-    whole = np.asarray(nees(errors.error[there], errors.cov[there]))
+    whole = np.asarray(nees(errors.error[known], errors.cov[known]))
     return replace(
         scores,
         rmse=rmse | {name: _root_mean(squared) for name, squared in others.items()},
         nees=float(whole.mean()),
         nees_dof=errors.error.shape[1],
         nees_by_field=mean_nees,
-        singular=singular(errors.cov[there]),
+        singular=singular(errors.cov[known]),
         coverage_95=share,
-        samples=int(there.sum()),
+        samples=int(known.sum()),
     )
 
 

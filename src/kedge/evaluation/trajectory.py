@@ -246,14 +246,14 @@ def _pairs(path: Trajectory, delta: float | int, unit: str) -> Int[np.ndarray, "
         raise ConfigError(f"delta: found {delta} {unit}, expected a positive (whole) number")
     # Stamps are whole nanoseconds, so 2 * 0.1 s is 0.2 s; metres round as in the program.
     enough = delta - 1e-9 if unit == "seconds" else delta
-    found, travelled = [0], 0.0
+    ends, travelled = [0], 0.0
     for index, step in enumerate(steps[unit], start=1):
         if (travelled := travelled + step) >= enough:
-            found.append(index)
+            ends.append(index)
             travelled = 0.0
-    if len(found) < 2:
+    if len(ends) < 2:
         raise DataError(f"no two poses are {delta:g} {unit} apart")
-    return np.stack([found[:-1], found[1:]])
+    return np.stack([ends[:-1], ends[1:]])
 
 
 def _summed_up(time: np.ndarray, gaps: np.ndarray, angles: np.ndarray | None) -> PoseError:

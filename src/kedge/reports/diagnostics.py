@@ -56,9 +56,9 @@ def innovations(run: Run, recording: Recording, rig: Rig, sensor: str) -> Innova
     return Innovations(np.asarray(run.estimates.time)[mine], nis[mine], dof[mine], fused, white)
 
 
-def testable(found: Innovations) -> bool:
+def testable(innovations: Innovations) -> bool:
     """Whether there are enough innovations to speak of their autocorrelation."""
-    return len(found.white) > LAGS and found.white.shape[1] > 0
+    return len(innovations.white) > LAGS and innovations.white.shape[1] > 0
 
 
 @style.styled
@@ -67,22 +67,24 @@ def plot_nis(
 ) -> Axes:
     """Draw a sensor's NIS, its gate, and its running mean against chi-square bounds."""
     ax = style.given(ax, 2.7)
-    found, gate = innovations(run, recording, rig, sensor), rig.sensors[rig.index(sensor)].gate
-    kinds = ((found.fused, "fused", "fused"), (~found.fused, "gated", "not fused"))
+    series, gate = innovations(run, recording, rig, sensor), rig.sensors[rig.index(sensor)].gate
+    kinds = ((series.fused, "fused", "fused"), (~series.fused, "gated", "not fused"))
     for mask, role, label in kinds:
-        chosen = thinned(mask, found.nis > np.quantile(found.nis, 0.98), DOTS)
+        chosen = thinned(mask, series.nis > np.quantile(series.nis, 0.98), DOTS)
         if len(chosen) < mask.sum():
             label += f" ({len(chosen)} of {mask.sum()})"
         if len(chosen):
-            ax.plot(found.time[chosen], np.maximum(found.nis[chosen], 1e-2), ".", ms=4, mew=0)
+            ax.plot(series.time[chosen], np.maximum(series.nis[chosen], 1e-2), ".", ms=4, mew=0)
             ax.lines[-1].set(color=style.color(role), alpha=0.55, label=label)
-    dofs, sizes = np.unique(found.dof, return_counts=True)
+    dofs, sizes = np.unique(series.dof, return_counts=True)
     for dof, dash in zip(dofs[np.argsort(-sizes)][:2], ("-", (0, (2, 1.5))), strict=False):
         bound = chi_square_bound(int(dof), 1 - (gate or 0.01))
         name = f"gate: {gate:.2g} false alarms" if gate else "99 % of χ²"
         name += f", {dof} component{'s' * int(dof > 1)}" if len(dofs) > 1 else ""
         ax.axhline(bound, color=style.color("gated"), lw=1.0, ls=dash, label=name)
-    _draw_mean(ax, found.time[found.fused], found.nis[found.fused], found.dof[found.fused])
+    _draw_mean(
+        ax, series.time[series.fused], series.nis[series.fused], series.dof[series.fused]
+    )
     logarithmic(ax)
     over_time(ax, run)
     ax.set(xlabel=TIME, ylabel=f"NIS of {style.words(sensor)} (–)")
@@ -120,13 +122,13 @@ def plot_nis_histogram(
 ) -> Axes:
     """Compare the distribution of a sensor's NIS with the chi-square law of its components."""
     ax = style.given(ax, 2.7)
-    found = innovations(run, recording, rig, sensor)
-    total = len(found.nis)
-    edges = np.linspace(0, chi_square_bound(int(found.dof.max()), 0.998), 29)
-    dofs, sizes = np.unique(found.dof, return_counts=True)
+    series = innovations(run, recording, rig, sensor)
+    total = len(series.nis)
+    edges = np.linspace(0, chi_square_bound(int(series.dof.max()), 0.998), 29)
+    dofs, sizes = np.unique(series.dof, return_counts=True)
     law = np.stack([np.diff(chdtr(float(dof), edges)) for dof in dofs]).T @ sizes
-    measured, _ = np.histogram(found.nis, edges)
-    beyond = style.percent(float(np.mean(found.nis > edges[-1])))
+    measured, _ = np.histogram(series.nis, edges)
+    beyond = style.percent(float(np.mean(series.nis > edges[-1])))
     ax.stairs(100 * measured / total, edges, fill=True, color=style.color("fused"), alpha=0.5)
     ax.patches[-1].set_label(f"measured; {beyond} beyond")
     ax.stairs(100 * law / total, edges, color=style.color("ink"), lw=1.2, baseline=None)
@@ -187,13 +189,13 @@ def verdict_rows(
 ) -> list[tuple[str, Verdict, Float[np.ndarray, " n"]]]:
     """Sensor, verdict and times, for every verdict that a sensor's readings met."""
     verdict, time = np.asarray(run.estimates.outcome.verdict), np.asarray(run.estimates.time)
-    sensor, found = np.asarray(recording.log.schedule.sensor), []
+    sensor, rows = np.asarray(recording.log.schedule.sensor), []
     for index, installation in enumerate(rig.sensors):
         for kind in Verdict:
             times = time[(sensor == index) & (verdict == kind)]
             if len(times) and kind is not Verdict.NONE:
-                found.append((installation.name, kind, times))
-    return found
+                rows.append((installation.name, kind, times))
+    return rows
 
 
 def _word(verdict: Verdict) -> str:

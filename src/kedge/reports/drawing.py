@@ -41,9 +41,9 @@ def thinned(
     chosen: Bool[np.ndarray, " n"], first: Bool[np.ndarray, " n"], most: int
 ) -> Int[np.ndarray, " m"]:
     """Indices of at most ``most`` of the chosen: an even share, ``first`` before the others."""
-    found = np.flatnonzero(chosen)
-    if len(found) <= most:
-        return found
+    indices = np.flatnonzero(chosen)
+    if len(indices) <= most:
+        return indices
     kept = np.flatnonzero(chosen & first)[:most]
     others = np.flatnonzero(chosen & ~first)
     room = np.linspace(0, len(others) - 1, most - len(kept)).astype(int)

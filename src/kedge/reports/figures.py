@@ -107,7 +107,7 @@ def unknown_to_truth(run: Run) -> list[Component]:
     """The components without errors; attitudes are left out, theirs are no coordinates."""
     states = space_of(type(run.track.mean))
     known = () if run.errors is None else run.errors.fields
-    std, found = np.sqrt(np.diagonal(run.track.cov, axis1=1, axis2=2)), []
+    std, components = np.sqrt(np.diagonal(run.track.cov, axis1=1, axis2=2)), []
     for (name, cut), chart in zip(states.slices().items(), states.charts, strict=True):
         if name in known or chart.shape != chart.tangent_shape:
             continue
@@ -116,8 +116,8 @@ def unknown_to_truth(run: Run) -> list[Component]:
             values = np.unwrap(values, axis=0)
         for i in range(cut.start, cut.stop):
             part = values[:, i - cut.start]
-            found.append(Component(states.labels[i], states.units[i], part, std[:, i]))
-    return found
+            components.append(Component(states.labels[i], states.units[i], part, std[:, i]))
+    return components
 
 
 @style.styled
@@ -132,8 +132,8 @@ def plot_nees(runs: Sequence[Run], axes: Any = None) -> Any:
         field, cut = main_field(errors)
         error, cov = errors.error[:, cut], errors.cov[:, cut, cut]
         values, bound = np.array(nees(error, cov)), chi_square_bound(error.shape[1], 0.95)
-        there = ~np.isnan(error).any(axis=1)
-        inside = style.percent(float(coverage(error[there], cov[there])))
+        known = ~np.isnan(error).any(axis=1)
+        inside = style.percent(float(coverage(error[known], cov[known])))
         ax.axhspan(bound, 1e15, color=style.color("gated"), alpha=0.07, lw=0)
         ax.axhline(bound, color=style.color("gated"), lw=0.9, ls=(0, (4, 2)))
         ax.lines[-1].set_label("95 % bound" if ax is axes[0] else None)

@@ -67,23 +67,23 @@ def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
     """The strip below the headline: name and value."""
     run = principal(runs)
     readings, fused = _readings(run)
-    found = [("duration", f"{_seconds(recording)} s")]
+    lines = [("duration", f"{_seconds(recording)} s")]
     if (distance := driven(run)) is not None:
-        found.append(("distance driven", f"{style.number(distance)} m"))
-    found.append(("readings", style.count(readings)))
+        lines.append(("distance driven", f"{style.number(distance)} m"))
+    lines.append(("readings", style.count(readings)))
     if readings:
-        found.append(("fused", style.percent(fused / readings)))
+        lines.append(("fused", style.percent(fused / readings)))
         gaps = [end - start for start, end in without_fused(run)]
         if gaps:
-            found.append(("longest without a reading", f"{style.number(max(gaps), 2)} s"))
+            lines.append(("longest without a reading", f"{style.number(max(gaps), 2)} s"))
     if (spent := cost(run, recording)) is not None:
-        found.append(("time per event", f"{style.number(spent, 2)} µs"))
-    return found
+        lines.append(("time per event", f"{style.number(spent, 2)} µs"))
+    return lines
 
 
 def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     """What a reader should know before trusting the numbers."""
-    found = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
+    lines = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
     judged = [run for run in rivals(runs) if run.errors is not None]
     for word, wrong in (
         ("Over-confident", lambda share: share < HONEST),
@@ -91,26 +91,26 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     ):
         names = [f"{r.name} ({style.percent(inside(r))})" for r in judged if wrong(inside(r))]
         if names:
-            found.append(
+            lines.append(
                 f"{word}, by the share of errors in the 95\u00a0% bound: {', '.join(names)}."
             )
     if judged:
         missing = 1 - (judged[0].scores.samples or 0) / len(judged[0].track.time)
         if missing > 0.01:
-            found.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
+            lines.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
     for run in rivals(runs):
         verdicts = sum((Counter(s.verdicts) for s in run.scores.sensors.values()), Counter())
-        found += concerns(run.name, run.scores.health, verdicts)
+        lines += concerns(run.name, run.scores.health, verdicts)
     run = principal(runs)
     for off in targets_off(run.scores, units_of(rig))[:NAMED]:
         factor, symbol = style.shown(off.unit)
-        found.append(
+        lines.append(
             f"{off.sensor}: {off.target} is off by {style.number(factor * off.median, 2)} "
             f"{symbol} in {style.words(off.component)} (median of its residuals, "
             f"{style.number(off.standardised, 2)} of what it may scatter by)."
         )
     online = [run for run in rivals(runs) if not style.is_smoother(run.name)] or [run]
-    return found + [
+    return lines + [
         text
         for run in online
         for installation in rig.sensors
@@ -170,12 +170,12 @@ def said(warnings: Sequence[str]) -> list[str]:
 
 def units_of(rig: Rig) -> dict[str, dict[str, str]]:
     """By sensor over a map, the unit of each component of its measurement."""
-    found = {}
+    units = {}
     for installation in rig.sensors:
         if installation.targets is not None:
             measured = space_of(installation.sensor.measures)
-            found[installation.name] = dict(zip(measured.labels, measured.units, strict=True))
-    return found
+            units[installation.name] = dict(zip(measured.labels, measured.units, strict=True))
+    return units
 
 
 def duration(recording: Recording) -> float:

@@ -70,11 +70,11 @@ def write_report(folder: Path, content: ReportContent) -> Path:
 def plates(content: ReportContent) -> list[Plate]:
     """The figures that this log has something to show in."""
     run = findings.principal(content.runs)
-    found = [*_map(content)] if hasattr(run.track.mean, "position") else []
-    found += _heights(content, run) + _errors(content)
+    listed = [*_map(content)] if hasattr(run.track.mean, "position") else []
+    listed += _heights(content, run) + _errors(content)
     if figures.unknown_to_truth(run):
         what = "The state" if run.errors is None else "What truth does not know of the state"
-        found.append(
+        listed.append(
             Plate(
                 "states",
                 "states",
@@ -82,7 +82,7 @@ def plates(content: ReportContent) -> list[Plate]:
                 figures.plot_states(run, color=_color(content, run))[0].figure,
             )
         )
-    return found + _consistency(content, run) + _verdicts(content, run)
+    return listed + _consistency(content, run) + _verdicts(content, run)
 
 
 def _color(content: ReportContent, run: Run) -> str:
@@ -104,35 +104,37 @@ def _map(content: ReportContent) -> list[Plate]:
 
 def _heights(content: ReportContent, run: Run) -> list[Plate]:
     """Height and attitude of what moves in space."""
-    found, truth = [], content.truth
+    listed, truth = [], content.truth
     if spatial.is_spatial(run):
         rivals = [run for run in content.runs if spatial.is_spatial(run)]
         caption = f"The height, with ± 3 standard deviations of {run.name}."
         figure = spatial.plot_heights(rivals, run, truth).figure
-        found.append(Plate("height", "map", caption, figure))
+        listed.append(Plate("height", "map", caption, figure))
     if spatial.has_attitude(run):
         caption = (
             f"The attitude that {run.name} estimates, with ± 3 standard deviations: how the "
             "body would be turned by heading, then pitch, then roll."
         )
         axes = spatial.plot_attitude(run, truth, color=_color(content, run))
-        found.append(Plate("attitude", "map", caption, axes[0].figure))
-    return found
+        listed.append(Plate("attitude", "map", caption, axes[0].figure))
+    return listed
 
 
 def _errors(content: ReportContent) -> list[Plate]:
     judged = [run for run in content.runs if run.errors is not None]
     if not judged:
         return []
-    found, main = [], findings.principal(content.runs)
+    listed, main = [], findings.principal(content.runs)
     if len(judged) > 1:
         caption = "Distance from truth, all runs, on a logarithmic axis."
-        found.append(Plate("distance", "errors", caption, figures.plot_distance(judged).figure))
+        listed.append(
+            Plate("distance", "errors", caption, figures.plot_distance(judged).figure)
+        )
     truth = content.truth
     if truth is not None and "position" in truth.fields and spatial.is_spatial(main):
         caption = "Position error in per cent of the distance covered so far, all runs."
         figure = spatial.plot_drift(judged, truth).figure
-        found.append(Plate("drift", "errors", caption, figure))
+        listed.append(Plate("drift", "errors", caption, figure))
     shown = [run for run in judged if run is main or not style.is_baseline(run.name)]
     for run in sorted(shown, key=lambda run: run is not main):
         axes = figures.plot_errors(run, color=_color(content, run))
@@ -141,25 +143,25 @@ def _errors(content: ReportContent) -> list[Plate]:
             f"it claims. Shaded: more than {LONG_GAP:g}\u00a0s without a fused reading."
         )
         name = f"errors-{content.runs.index(run) + 1}"
-        found.append(Plate(name, "errors", caption, axes[0].figure, run is not main))
-    return found
+        listed.append(Plate(name, "errors", caption, axes[0].figure, run is not main))
+    return listed
 
 
 def _consistency(content: ReportContent, run: Run) -> list[Plate]:
-    found, judged = [], [other for other in content.runs if other.errors is not None]
+    listed, judged = [], [other for other in content.runs if other.errors is not None]
     if judged:
         axes = figures.plot_nees(judged)
         caption = (
             "Normalised estimation error squared; an honest filter stays below the bound "
             "95\u00a0% of the time."
         )
-        found.append(Plate("nees", "consistency", caption, axes[0].figure))
+        listed.append(Plate("nees", "consistency", caption, axes[0].figure))
     parts = run, content.recording, content.rig
     names = [installation.name for installation in content.rig.sensors]
     sizes = {name: len(diagnostics.innovations(*parts, name).nis) for name in names}
     shown = [name for name in names if sizes[name] > 1]
     if not shown:
-        return found
+        return listed
     rows = len(shown)
     axes = style.subplots(rows, 1, 2.7 * rows)[:, 0]
     for ax, name in zip(axes, shown, strict=True):
@@ -172,7 +174,7 @@ def _consistency(content: ReportContent, run: Run) -> list[Plate]:
     heavy = [s.name for s in content.rig.sensors if s.robust is not None]
     if heavy:
         caption += f" Noise with heavy tails ({', '.join(heavy)}): chi-square is a guide only."
-    found.append(Plate("nis", "consistency", caption, axes[0].figure))
+    listed.append(Plate("nis", "consistency", caption, axes[0].figure))
     axes = style.subplots(rows, 2, 2.7 * rows)
     for (left, right), name in zip(axes, shown, strict=True):
         diagnostics.plot_nis_histogram(*parts, name, left)
@@ -184,7 +186,7 @@ def _consistency(content: ReportContent, run: Run) -> list[Plate]:
         f"Left: how NIS is distributed, against the chi-square law. Right: autocorrelation of "
         f"the whitened innovations of {run.name}."
     )
-    return [*found, Plate("innovations", "consistency", caption, axes[0, 0].figure)]
+    return [*listed, Plate("innovations", "consistency", caption, axes[0, 0].figure)]
 
 
 def _verdicts(content: ReportContent, run: Run) -> list[Plate]:

@@ -88,13 +88,13 @@ def plot_attitude(run: Run, truth: Truth | None, axes: Any = None, color: Any = 
     if axes is None:
         axes = style.subplots(3, 1, 0.55 + 3 * 1.45, sharex=True)[:, 0]
     cut, degree = _cut(run, "attitude"), np.degrees(1.0)
-    found = angles_of(run.track.mean.attitude, run.track.cov[:, cut, cut])
+    angles = angles_of(run.track.mean.attitude, run.track.cov[:, cut, cut])
     true = None
     if truth is not None and "attitude" in truth.fields:
         true = angles_of(truth.fields["attitude"])
     names = ("heading from east", "pitch, nose up", "roll, right side down")
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
-        values = np.unwrap(found[index])
+        values = np.unwrap(angles[index])
         if true is not None and truth is not None:
             actual = np.unwrap(true[index])
             near = np.interp(truth.time, run.track.time, values)
@@ -102,7 +102,7 @@ def plot_attitude(run: Run, truth: Truth | None, axes: Any = None, color: Any = 
             path = np.stack([truth.time, degree * actual], axis=1)
             ax.plot(*broken(truth.time, path), color=style.color("truth"), lw=2.6, alpha=0.3)
             ax.lines[-1].set_label("truth")
-        band = 3 * degree * found.std[index]
+        band = 3 * degree * angles.std[index]
         draw_band(ax, run, run.track.time, degree * values, band, "state", color)
         ax.set_ylabel(f"{name} (°)")
     axes[-1].set_xlabel(TIME)

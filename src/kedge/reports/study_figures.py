@@ -123,8 +123,8 @@ def plot_error(curves: Mapping[str, Curves], states: Space, each: bool) -> Any:
         factor, by = (factor / np.sqrt(size), " by component") if each else (factor, "")
         for ax, panel in zip(row, columns, strict=True):
             for line in panel.lines:
-                found = curves[line.names[0]]
-                time, squares = coarse(found.time, found.rmse[name] ** 2)
+                curve = curves[line.names[0]]
+                time, squares = coarse(curve.time, curve.rmse[name] ** 2)
                 _over_time(ax, line, time, factor * np.sqrt(squares), panel, base)
         _finish(row, curves[base].time[-1])
         row[0].set_ylabel(f"{style.words(name)} RMSE{by}\n({symbol})")
@@ -197,11 +197,11 @@ def plot_members(filters: Filters, base: str, of: str) -> Axes:
 
 def _apart(counts: Sequence[int]) -> list[int]:
     """Of rising numbers those whose labels do not touch on a logarithmic axis."""
-    found: list[int] = []
+    ticks: list[int] = []
     for count in counts:
-        if not found or count >= 1.15 * found[-1]:
-            found.append(count)
-    return found
+        if not ticks or count >= 1.15 * ticks[-1]:
+            ticks.append(count)
+    return ticks
 
 
 def _over_time(ax: Axes, line: Line, time: Any, values: Any, panel: Panel, base: str) -> None:

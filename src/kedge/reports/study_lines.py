@@ -42,22 +42,22 @@ def family(name: str) -> str:
 
 def members(name: str) -> tuple[str, int] | None:
     """A filter's name without its number of members, and that number, if it has one."""
-    found = _COUNT.search(name)
-    if found is None:
+    count = _COUNT.search(name)
+    if count is None:
         return None
-    rest = name[: found.start(2) - len("count=")] + name[found.end(2) :].lstrip(",")
-    return rest.rstrip(":,"), int(found[2])
+    bare = name[: count.start(2) - len("count=")] + name[count.end(2) :].lstrip(",")
+    return bare.rstrip(":,"), int(count[2])
 
 
 def series(names: Sequence[str]) -> dict[str, list[str]]:
     """Filters that differ in nothing but their number of members, by rising number."""
-    found: dict[str, list[tuple[int, str]]] = {}
+    groups: dict[str, list[tuple[int, str]]] = {}
     for name in names:
         if (sized := members(name)) is not None:
-            found.setdefault(sized[0], []).append((sized[1], name))
+            groups.setdefault(sized[0], []).append((sized[1], name))
     return {
         rest: [name for _, name in sorted(group)]
-        for rest, group in found.items()
+        for rest, group in groups.items()
         if len(group) > 1
     }
 
@@ -67,25 +67,25 @@ def study_looks(names: Sequence[str]) -> dict[str, Look]:
     families: dict[str, list[str]] = {}
     for name in names:
         families.setdefault(family(name), []).append(name)
-    colours, found = _family_looks(list(families)), {}
+    colours, looks = _family_looks(list(families)), {}
     for kind, group in families.items():
         ordered = sorted(group, key=_size)
         shades = np.linspace(0.35 if len(group) > 2 else 0.5, 1, len(group))
         shades = shades if len(group) > 1 else np.ones(1)
         for name, shade in zip(ordered, shades.tolist(), strict=True):
-            found[name] = colours[kind]._replace(alpha=round(shade, 2))
-    return {name: found[name] for name in names}
+            looks[name] = colours[kind]._replace(alpha=round(shade, 2))
+    return {name: looks[name] for name in names}
 
 
 def _family_looks(families: Sequence[str]) -> dict[str, Look]:
     """The baseline first; a study has more families than a log report has runs."""
     base = baseline(families)
-    found = {n: look for n, look in style.looks(families).items() if style.is_baseline(n)}
-    free = sorted((n for n in families if n not in found), key=lambda n: n != base)
+    looks = {n: look for n, look in style.looks(families).items() if style.is_baseline(n)}
+    free = sorted((n for n in families if n not in looks), key=lambda n: n != base)
     for place, name in enumerate(free):
         turn, role = divmod(place, len(_COLOURS))
-        found[name] = Look(_COLOURS[role], style.DASHES[turn % len(style.DASHES)], 1.1)
-    return found
+        looks[name] = Look(_COLOURS[role], style.DASHES[turn % len(style.DASHES)], 1.1)
+    return looks
 
 
 def lines(curves: Mapping[str, Float[np.ndarray, "..."]]) -> list[Line]:
@@ -103,14 +103,14 @@ def lines(curves: Mapping[str, Float[np.ndarray, "..."]]) -> list[Line]:
     return [Line(tuple(group), " = ".join(group), looks[group[0]]) for group in groups]
 
 
-def panels(found: Sequence[Line]) -> list[Panel]:
+def panels(lines: Sequence[Line]) -> list[Panel]:
     """One panel for few lines; else one for each family of several, with the baseline."""
-    if len(found) <= FEW:
-        return [Panel("", list(found))]
-    base = baseline([name for line in found for name in line.names])
-    reference = next(line for line in found if base in line.names)
+    if len(lines) <= FEW:
+        return [Panel("", list(lines))]
+    base = baseline([name for line in lines for name in line.names])
+    reference = next(line for line in lines if base in line.names)
     kinds: dict[str, list[Line]] = {}
-    for line in found:
+    for line in lines:
         if line is not reference:
             kinds.setdefault(family(line.names[0]), []).append(line)
     single = [group[0] for group in kinds.values() if len(group) == 1]
@@ -149,8 +149,8 @@ def featured(
         ):
             best[family(name)] = name
     exact = [name for name in best.values() if not style.is_baseline(name)]
-    found = lines({name: curves[name] for name in exact or best.values()})[:most]
-    return [name for line in found for name in line.names]
+    drawn = lines({name: curves[name] for name in exact or best.values()})[:most]
+    return [name for line in drawn for name in line.names]
 
 
 def fit(text: str, width: int) -> str:

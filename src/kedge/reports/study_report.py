@@ -137,7 +137,7 @@ def _tracking(content: StudyContent) -> Iterator[Plate]:
 
 def tracks(content: StudyContent) -> list[Track]:
     """The first run by field, with the filters that stand for the others."""
-    plan, states, found = plan_of(content.study), _states(content), []
+    plan, states, listed = plan_of(content.study), _states(content), []
     examples = {name: result.example for name, result in content.results.items()}
     whole = {
         name: np.concatenate([np.ravel(values) for values in example.values()])
@@ -172,14 +172,14 @@ def tracks(content: StudyContent) -> list[Track]:
             {name: columns(content.results[name].track[field]) for name in names if loops},
             _route(content, plan.time) if field == "position" else None,
         )
-        found.append(track)
-    return found
+        listed.append(track)
+    return listed
 
 
 def _tracks(content: StudyContent) -> Iterator[Plate]:
-    found, states = tracks(content), _states(content)
-    where = next((track for track in found if track.name == "position"), None)
-    names = ", ".join(found[0].estimates) if found else ""
+    listed, states = tracks(content), _states(content)
+    where = next((track for track in listed if track.name == "position"), None)
+    names = ", ".join(listed[0].estimates) if listed else ""
     if where is not None:
         targets = target_map(content.study.scenario.rig, {})
         axes = plot_plan(where, targets)
@@ -197,7 +197,7 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
             yield Plate("profile", "track", caption, plot_profile(where).figure)
     shown = 0
     first = content.summary.score.of
-    ordered = sorted(found, key=lambda track: (track.name != first, not track.seen))
+    ordered = sorted(listed, key=lambda track: (track.name != first, not track.seen))
     for track in [where] if where is not None else ordered:
         cut, part = states.slices()[track.name], shown_span(track)
         for index in range(min(cut.stop - cut.start, 3)):
@@ -219,12 +219,14 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
 def _over_time(content: StudyContent) -> Iterator[Plate]:
     study, states = content.study, _states(content)
     plan = plan_of(study)
-    found = {n: curves(study, plan, r) for n, r in content.results.items() if r.sums.total > 0}
-    if not found:
+    curves_by_name = {
+        n: curves(study, plan, r) for n, r in content.results.items() if r.sums.total > 0
+    }
+    if not curves_by_name:
         return
     runs = style.count(content.summary.about.runs)
     each = study.score == "time-mean-rms"
-    axes = figures.plot_error(found, states, each)
+    axes = figures.plot_error(curves_by_name, states, each)
     yield Plate(
         "error-over-time",
         "errors",
@@ -232,8 +234,8 @@ def _over_time(content: StudyContent) -> Iterator[Plate]:
         "one part in a million are drawn as one.",
         axes[0, 0].figure,
     )
-    if any(np.isfinite(c.nees).any() for c in found.values()):
-        axes = figures.plot_study_nees(found, states.size)
+    if any(np.isfinite(c.nees).any() for c in curves_by_name.values()):
+        axes = figures.plot_study_nees(curves_by_name, states.size)
         caption = (
             f"Normalised estimation error squared, mean over {runs} runs: inside the bounds "
             "(of a single time) 95\u00a0% of the time if the filter knows how good it is, "
@@ -243,7 +245,7 @@ def _over_time(content: StudyContent) -> Iterator[Plate]:
     sensors = study.scenario.rig.sensors
     judged = {
         name: [nis_curve(plan, content.results[name].sums, i) for i in range(len(sensors))]
-        for name in found
+        for name in curves_by_name
     }
     judged = {n: cs for n, cs in judged.items() if any(len(c.nis) for c in cs)}
     if judged:

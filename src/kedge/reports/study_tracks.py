@@ -70,20 +70,23 @@ def plot_component(track: Track, index: int, label: str) -> Any:
                 ax.plot(time, height, ".", color=style.color("target"), ms=2.4, alpha=0.45)
                 ax.lines[-1].set_markeredgewidth(0)
             upper.lines[-1].set_label(name)
-    found = _drawn(track)
-    for place, line in enumerate(found):
+    drawn = _drawn(track)
+    for place, line in enumerate(drawn):
         error = factor * _deviation(track, line, index)
-        own = factor * _continuous(track, _truth_of(track, line)[:, index])
-        for ax, values in ((upper, own if track.driven else truth + error), (lower, error)):
+        reference = factor * _continuous(track, _truth_of(track, line)[:, index])
+        for ax, values in (
+            (upper, reference if track.driven else truth + error),
+            (lower, error),
+        ):
             time, kept = envelope(track.time, values)
             plot_line(ax, line, time, kept, line.label if ax is upper else None, False)
-            ax.lines[-1].set_linewidth(_width(place, len(found)))
+            ax.lines[-1].set_linewidth(_width(place, len(drawn)))
     lower.axhline(0, color=style.color("muted"), lw=0.6)
     upper.set_ylabel(f"{label} ({symbol})")
     lower.set(ylabel=f"{label} − truth\n({symbol})", xlabel=TIME)
     step = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 0.0
     lower.set_xlim(0 if track.time[0] < 2 * step else track.time[0], track.time[-1])
-    limit = _limit(found, track, index, factor)
+    limit = _limit(drawn, track, index, factor)
     lower.set_ylim(-limit, limit)
     legend(upper, 3, 2)
     return axes
@@ -105,11 +108,11 @@ def plot_plan(track: Track, targets: Targets) -> Axes:
             _, values = _thinned(seen.time, seen.values)
             ax.plot(*values.T[:2], ".", color=style.color("target"), mew=0)
             ax.lines[-1].set(ms=2.6, alpha=0.5, label=f"readings of {style.words(seen.sensor)}")
-    found, paths = _drawn(track), track.driven or track.estimates
-    for place, line in enumerate(found):
+    drawn, paths = _drawn(track), track.driven or track.estimates
+    for place, line in enumerate(drawn):
         path = paths[line.names[0]]
         plot_line(ax, line, path[:, 0], path[:, 1], line.label, False)
-        ax.lines[-1].set_linewidth(_width(place, len(found)))
+        ax.lines[-1].set_linewidth(_width(place, len(drawn)))
     if track.route is not None:
         _route(ax, track.route[:, 0], track.route[:, 1])
     draw_targets(ax, targets, named=False)
@@ -127,13 +130,13 @@ def plot_profile(track: Track) -> Axes:
     if not track.driven:
         ax.plot(_covered(track.truth), track.truth[:, 2], color=style.color("truth"), lw=3.2)
         ax.lines[-1].set(alpha=0.3, label="truth")
-    found = _drawn(track)
-    for place, line in enumerate(found):
+    drawn = _drawn(track)
+    for place, line in enumerate(drawn):
         path = paths[line.names[0]]
         # Estimates stand at the way that was really covered, so that heights can be compared.
         along = _covered(path if track.driven else track.truth)
         plot_line(ax, line, along, path[:, 2], line.label, False)
-        ax.lines[-1].set_linewidth(_width(place, len(found)))
+        ax.lines[-1].set_linewidth(_width(place, len(drawn)))
     ax.set(xlabel="way covered in plan (m)", ylabel="height, z (m)")
     return legend(ax, 4, 1.4)
 

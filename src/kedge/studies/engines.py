@@ -115,29 +115,29 @@ def processes(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
 
-    left = list(numbers)
+    waiting = list(numbers)
     for _ in range(ATTEMPTS):
-        if not left:
+        if not waiting:
             return
         # Not forked: JAX's threads would not survive that.
         context = multiprocessing.get_context("spawn")
-        count = min(os.cpu_count() or 1, len(left))
-        progress(f"{count} processes, {len(left)} chunks")
+        count = min(os.cpu_count() or 1, len(waiting))
+        progress(f"{count} processes, {len(waiting)} chunks")
         pool = ProcessPoolExecutor(count, context, _ignore_interrupts)
         try:
-            tasks = {pool.submit(compute, job, number): number for number in left}
+            tasks = {pool.submit(compute, job, number): number for number in waiting}
             for task in as_completed(tasks):
                 arrays, number = task.result(), tasks.pop(task)
-                left.remove(number)
+                waiting.remove(number)
                 yield number, arrays
         except BrokenProcessPool:
             progress("a process ended before its chunk was done; its chunk is begun anew")
         finally:
             pool.shutdown(cancel_futures=True)
-    if left:
+    if waiting:
         raise KedgeError(
             f"--engine processes: found {ATTEMPTS} times that a process ended before its chunk "
-            f"was done (too little memory?); {len(left)} chunks are left"
+            f"was done (too little memory?); {len(waiting)} chunks are left"
         )
 
 

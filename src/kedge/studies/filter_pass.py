@@ -140,9 +140,9 @@ class FilterPass:
     def _by_native(self, given: Given, index: Int[np.ndarray, " runs"]) -> Believed:
         rig, log = _told(self._rig, Log(self._schedule, None, ()), given)
         raw = self._native.raw(self._filter, rig, log, len(index))
-        found = _Pick(None, *_kept(rig))(raw)
+        beliefs = _Pick(None, *_kept(rig))(raw)
         # Waited for, since its memory is the next call's.
-        return jax.block_until_ready(_by_run(found, self._rows, len(index)))
+        return jax.block_until_ready(_by_run(beliefs, self._rows, len(index)))
 
     def _by_xla(self) -> Any:
         program, self._lowered = self._lowered.compile(), None
@@ -154,8 +154,8 @@ class FilterPass:
                 some = _taken((given, index), parts[number])
                 return jax.block_until_ready(program(*self._arguments(*some)))
 
-            found = joined(shared(part, range(len(parts))))
-            return jax.tree.map(lambda leaf: leaf[: len(index)], found)
+            beliefs = joined(shared(part, range(len(parts))))
+            return jax.tree.map(lambda leaf: leaf[: len(index)], beliefs)
 
         return over
 
@@ -171,8 +171,8 @@ class _Pick(eqx.Module):
     cov: bool = eqx.field(static=True)
     nis: bool = eqx.field(static=True)
 
-    def __call__(self, found: Estimates) -> Believed:
-        moments, outcome = found.moments, found.outcome
+    def __call__(self, estimates: Estimates) -> Believed:
+        moments, outcome = estimates.moments, estimates.outcome
         scored, sensed = (slice(None),) * 2 if self.rows is None else self.rows
         return Believed(
             mean=jax.tree.map(lambda leaf: leaf[scored], moments.mean),
@@ -221,8 +221,8 @@ def _many(
 ) -> Believed:
     pick = _Pick(rows, *_kept(rig))
 
-    def one(run: Int[Array, ""], own: Given) -> Believed:
-        known, log = _told(rig, Log(schedule, None, ()), own)
+    def one(run: Int[Array, ""], given: Given) -> Believed:
+        known, log = _told(rig, Log(schedule, None, ()), given)
         return pick(pass_over(filter, known, log, jr.fold_in(key, run), False)[0])
 
     return jax.vmap(one)(index, given)

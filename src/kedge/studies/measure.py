@@ -66,7 +66,7 @@ def scored(
     scenario: Scenario,
     plan: Plan,
     truth: Simulation,
-    found: Believed,
+    beliefs: Believed,
     kept: Bool[Array, " runs"],
 ) -> tuple[RunScores, RunScores, dict[str, RunScores], TimeSums, Any]:
     """Scores of some runs (late, whole, by window), sums of those kept, means of the first.
@@ -76,19 +76,19 @@ def scored(
     states = space_of(type(scenario.rig.prior.mean))
     sensors = len(scenario.rig.sensors)
 
-    def one(true: Simulation, own: Believed):
+    def one(true: Simulation, belief: Believed):
         actual = jax.tree.map(lambda leaf: leaf[plan.steps], true.truth)
-        error = jax.vmap(states.boxminus)(actual, own.mean)
+        error = jax.vmap(states.boxminus)(actual, belief.mean)
         nees = jnp.full(len(plan.events), jnp.nan)
         within = jnp.full(error.shape, jnp.nan)
-        if own.cov is not None:
-            nees = jax.vmap(squared_distance)(own.cov, error)
-            variance = jnp.diagonal(own.cov, axis1=1, axis2=2)
+        if belief.cov is not None:
+            nees = jax.vmap(squared_distance)(belief.cov, error)
+            variance = jnp.diagonal(belief.cov, axis1=1, axis2=2)
             within = jnp.where(error**2 <= 9 * variance, 1.0, 0.0)
-        nis = jnp.full(len(plan.sensed), jnp.nan) if own.nis is None else own.nis
-        fused = own.verdict == Verdict.FUSED
+        nis = jnp.full(len(plan.sensed), jnp.nan) if belief.nis is None else belief.nis
+        fused = belief.verdict == Verdict.FUSED
         watched = _tracked(scenario, true)
-        judged = _Judged(error**2, nees, within, nis, 1.0 * own.dof, fused, watched)
+        judged = _Judged(error**2, nees, within, nis, 1.0 * belief.dof, fused, watched)
         settled = plan.settled, plan.sensed_settled, plan.steps_settled
         late = _scores(states, plan, judged, sensors, *settled)
         whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
@@ -98,13 +98,13 @@ def scored(
         }
         return late, whole, apart, judged
 
-    late, whole, apart, judged = jax.vmap(one)(truth, found)
+    late, whole, apart, judged = jax.vmap(one)(truth, beliefs)
     good = kept & jnp.all(jnp.isfinite(whole.squared), axis=1)
     good &= jnp.isfinite(late.time_mean_rms)
 
-    def added(leaf: Array, there: Array) -> Array:
+    def added(leaf: Array, counted: Array) -> Array:
         shape = (len(good),) + (1,) * (leaf.ndim - 1)
-        return jnp.sum(jnp.where(good.reshape(shape) & there, leaf, 0.0), axis=0)
+        return jnp.sum(jnp.where(good.reshape(shape) & counted, leaf, 0.0), axis=0)
 
     fused = judged.fused
     sums = TimeSums(
@@ -115,7 +115,7 @@ def scored(
         nis_count=added(jnp.ones_like(judged.nis), fused),
         nis_dof=added(judged.dof, fused),
     )
-    return late, whole, apart, sums, jax.tree.map(lambda leaf: leaf[0], found.mean)
+    return late, whole, apart, sums, jax.tree.map(lambda leaf: leaf[0], beliefs.mean)
 
 
 def squared_distance(cov: Float[Array, "n n"], error: Float[Array, " n"]) -> Float[Array, ""]:
@@ -169,11 +169,11 @@ def _scores(
 
     nis, dof = [], []
     for number in range(sensors):
-        there = sensed & judged.fused & (plan.sensor == number)
-        count = jnp.sum(there)
-        for values, found in ((judged.nis, nis), (judged.dof, dof)):
-            total = jnp.sum(jnp.where(there, values, 0.0))
-            found.append(jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan))
+        fused = sensed & judged.fused & (plan.sensor == number)
+        count = jnp.sum(fused)
+        for values, means in ((judged.nis, nis), (judged.dof, dof)):
+            total = jnp.sum(jnp.where(fused, values, 0.0))
+            means.append(jnp.where(count > 0, total / jnp.maximum(count, 1), jnp.nan))
     bound = chi_square_bound(states.size, 0.95)
     known = states.size <= UNROLLED_COLUMNS
     inside = jnp.where(judged.nees <= bound, 1.0, 0.0)

@@ -146,11 +146,11 @@ class Tally:
         """
         if not self._sums:
             raise DataError("study: found no finished runs, expected at least one chunk")
-        found = {}
+        results = {}
         for name in self.names:
             parts = self._runs[name]
             whole = {key: _joined([part[key] for part in parts]) for key in parts[0]}
-            found[name] = Result(
+            results[name] = Result(
                 runs=whole.pop("runs"),
                 whole=whole.pop("whole"),
                 sums=self._sums[name],
@@ -159,28 +159,28 @@ class Tally:
                 example=self._examples.get(name, {}),
                 track=self._tracks.get(name, {}),
                 compiler=" and ".join(sorted(self._compilers[name])),
-                windows={key.removeprefix("windows."): own for key, own in whole.items()},
+                windows={key.removeprefix("windows."): window for key, window in whole.items()},
             )
-        return found
+        return results
 
 
 def pack(part: Part) -> dict[str, np.ndarray]:
     """A part as named arrays, for a file; filters go by their place."""
-    found = {}
+    arrays = {}
     for place, piece in enumerate(part.pieces.values()):
         for group in ("runs", "whole", "sums"):
             for field, leaf in getattr(piece, group)._asdict().items():
-                found[f"{place}.{group}.{field}"] = np.asarray(leaf)
+                arrays[f"{place}.{group}.{field}"] = np.asarray(leaf)
         for window, scores in piece.windows.items():
             for field, leaf in scores._asdict().items():
-                found[f"{place}.windows.{field}.{window}"] = np.asarray(leaf)
-        found[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
-        found[f"{place}.compiler"] = np.array(piece.compiler)
+                arrays[f"{place}.windows.{field}.{window}"] = np.asarray(leaf)
+        arrays[f"{place}.seconds"] = np.array([piece.seconds, piece.compile_seconds])
+        arrays[f"{place}.compiler"] = np.array(piece.compiler)
         for group in ("example", "track"):
             fields = getattr(piece, group).items()
-            found |= {f"{place}.{group}.{k}": np.asarray(v) for k, v in fields}
-    found |= {f"truth.{k}": np.asarray(v) for k, v in part.truth.items()}
-    return found | {f"readings.{k}": np.asarray(v) for k, v in part.readings.items()}
+            arrays |= {f"{place}.{group}.{k}": np.asarray(v) for k, v in fields}
+    arrays |= {f"truth.{k}": np.asarray(v) for k, v in part.truth.items()}
+    return arrays | {f"readings.{k}": np.asarray(v) for k, v in part.readings.items()}
 
 
 def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
@@ -220,8 +220,8 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
 def finite(result: Result) -> Bool[np.ndarray, " runs"]:
     """Which runs came out finite."""
     whole, runs = result.whole, result.runs
-    there = np.isfinite(np.asarray(whole.squared)).all(axis=1)
-    return there & np.isfinite(np.asarray(runs.time_mean_rms))
+    valid = np.isfinite(np.asarray(whole.squared)).all(axis=1)
+    return valid & np.isfinite(np.asarray(runs.time_mean_rms))
 
 
 def _joined(parts: Sequence[RunScores]) -> RunScores:

@@ -83,8 +83,8 @@ class Study(NamedTuple):
             ConfigError: an option is unknown or out of range, or no time is left to score.
         """
         for name, known in (("score", SCORES), ("start", STARTS)):
-            if (found := getattr(self, name)) not in known:
-                raise ConfigError(f"{name}: found {found!r}, expected one of {list(known)}")
+            if (value := getattr(self, name)) not in known:
+                raise ConfigError(f"{name}: found {value!r}, expected one of {list(known)}")
         fields = type(self.scenario.rig.prior.mean)._fields
         if self.field and self.field not in fields:
             raise ConfigError(
@@ -104,18 +104,18 @@ class Study(NamedTuple):
         Raises:
             ContractError: that model has another state or control than the rig's.
         """
-        rig, own = self.scenario.rig, self.vehicles.get(name)
-        if own is None:
+        rig, model = self.scenario.rig, self.vehicles.get(name)
+        if model is None:
             return self.scenario
-        told, known = (type(vehicle.nominal_control(0.0)) for vehicle in (rig.vehicle, own))
+        given, known = (type(vehicle.nominal_control(0.0)) for vehicle in (rig.vehicle, model))
         if not known._fields:
-            own = Undriven(own, rig.vehicle)
-        elif told is not known:
+            model = Undriven(model, rig.vehicle)
+        elif given is not known:
             raise ContractError(
-                f"filter {name!r}: its {type(own).__name__} is driven by {known._fields}, but "
-                f"the rig's {type(rig.vehicle).__name__} by {told._fields}"
+                f"filter {name!r}: its {type(model).__name__} is driven by {known._fields}, "
+                f"but the rig's {type(rig.vehicle).__name__} by {given._fields}"
             )
-        changed = Rig(own, rig.sensors, rig.prior)
+        changed = Rig(model, rig.sensors, rig.prior)
         return dataclasses.replace(self.scenario, rig=changed)
 
 
@@ -164,14 +164,14 @@ class Trials:
             ContractError: a filter cannot run on the rig.
         """
         index, shapes = jnp.arange(self.chunk), None
-        for name, own in self._passes.items():
+        for name, filter_pass in self._passes.items():
             self.progress(f"{name}: checking")
             try:
                 if shapes is None or self.study.scenario.each_in_its_loop:
                     shapes = eqx.filter_eval_shape(lambda n=name: self._truths(n, index))
-                told = self._scenarios[name], self.plan, *shapes
-                given = eqx.filter_eval_shape(given_of, *told)
-                own.check(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), given))
+                setting = self._scenarios[name], self.plan, *shapes
+                given = eqx.filter_eval_shape(given_of, *setting)
+                filter_pass.check(jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), given))
             except ContractError as error:
                 raise ContractError(f"filter {name!r} cannot run here: {error}") from error
 
@@ -183,28 +183,31 @@ class Trials:
         """
         begin = number * self.chunk
         index, end = jnp.arange(begin, begin + self.chunk), min(begin + self.chunk, self.runs)
-        said = f"runs {begin + 1} to {end} of {self.runs}"
+        stage = f"runs {begin + 1} to {end} of {self.runs}"
         pieces, first, truth, means = {}, None, None, None
         for name in self.filters:
             if truth is None or self.study.scenario.each_in_its_loop:
-                self.progress(f"{said}: simulating")
+                self.progress(f"{stage}: simulating")
                 truth, means = self._truths(name, index)
             shown_truth = ({}, {}) if number else _first(self.study.scenario, self.plan, truth)
             first = first or shown_truth
             kept = jnp.arange(self.chunk) < end - begin
-            told = self._scenarios[name], self.plan, truth
-            given, own = jax.block_until_ready(given_of(*told, means)), self._passes[name]
+            setting = self._scenarios[name], self.plan, truth
+            given, filter_pass = (
+                jax.block_until_ready(given_of(*setting, means)),
+                self._passes[name],
+            )
             compiling = 0.0
-            if not own.is_ready:
+            if not filter_pass.is_ready:
                 self.progress(f"{name}: compiling")
-                own.compile(given)
-                compiling = own.compile_seconds
-            self.progress(f"{name}: {said}")
+                filter_pass.compile(given)
+                compiling = filter_pass.compile_seconds
+            self.progress(f"{name}: {stage}")
             before = time.perf_counter()
-            believed = own.over(given, np.asarray(index))
+            believed = filter_pass.over(given, np.asarray(index))
             seconds = time.perf_counter() - before
-            found = scored(*told, believed, kept)
-            settled, whole, apart, sums, example = jax.tree.map(np.asarray, found)
+            judged = scored(*setting, believed, kept)
+            settled, whole, apart, sums, example = jax.tree.map(np.asarray, judged)
             cut = slice(0, end - begin)
             settled, whole, *windows = (
                 RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole, *apart.values())
@@ -217,7 +220,7 @@ class Trials:
                 sums,
                 seconds,
                 compiling,
-                own.compiler,
+                filter_pass.compiler,
                 shown,
                 shown_truth[0],
                 of_each,
@@ -239,8 +242,8 @@ class Trials:
         if scenario.each_in_its_loop:
             pilot = LoopFilter(self.filters[name], name)
         if pilot is not None:
-            own = self.study.scenario_of(pilot.name)
-            scenario = dataclasses.replace(own, loop_filter=pilot)
+            world = self.study.scenario_of(pilot.name)
+            scenario = dataclasses.replace(world, loop_filter=pilot)
         priors = None if self.study.start == "prior" else stream(seed, "prior")
         draws = None if pilot is None else stream(seed, f"filter {pilot.name}")
         return _simulated(as_arrays(scenario), index, stream(seed, "truth"), priors, draws)
@@ -315,14 +318,14 @@ def _windows(study: Study, plan: Plan, ends: np.ndarray) -> dict[str, Window]:
         return np.any([(time > a + 1e-9) & (time <= b + 1e-9) for a, b in spans], axis=0)
 
     times = plan.time, plan.sensed_time, ends
-    found = {
+    windows = {
         name: Window(*(inside(time, spans) for time in times))
         for name, spans in study.windows.items()
     }
     settled = plan.settled, plan.sensed_settled, plan.steps_settled
-    taken = (np.any(masks, axis=0) for masks in zip(*found.values(), strict=True))
-    found["else"] = Window(*(a & ~b for a, b in zip(settled, taken, strict=True)))
-    return {name: window for name, window in found.items() if window.events.any()}
+    taken = (np.any(masks, axis=0) for masks in zip(*windows.values(), strict=True))
+    windows["else"] = Window(*(a & ~b for a, b in zip(settled, taken, strict=True)))
+    return {name: window for name, window in windows.items() if window.events.any()}
 
 
 @eqx.filter_jit
@@ -342,14 +345,14 @@ def _simulated(
     states = space_of(type(prior.mean))
 
     def one(run: Int[Array, ""]) -> tuple[Simulation, Any]:
-        white, own = None, scenario
+        white, world = None, scenario
         if priors is not None:
             white = jr.normal(jr.fold_in(priors, run), (states.size,))
         if scenario.loop_filter is not None and draws is not None:
             key = jr.fold_in(draws, run)
             pilot = dataclasses.replace(scenario.loop_filter, key=key, error=white)
-            own = dataclasses.replace(scenario, loop_filter=pilot)
-        truth = simulate(own, jr.fold_in(truths, run))
+            world = dataclasses.replace(scenario, loop_filter=pilot)
+        truth = simulate(world, jr.fold_in(truths, run))
         mean = prior.mean if white is None else start_near(prior, truth.start, white)
         return truth, mean
 
@@ -366,7 +369,7 @@ def _first(
         if installation.targets:  # it measures where its targets are, seen from the vehicle
             continue
         for field, values in readings.measurement._asdict().items():
-            found = np.asarray(values)[0]
-            if field in path and found.shape[1:] == path[field].shape[1:]:
-                seen[f"{installation.name}.{field}"] = found
+            value = np.asarray(values)[0]
+            if field in path and value.shape[1:] == path[field].shape[1:]:
+                seen[f"{installation.name}.{field}"] = value
     return path, seen

@@ -31,5 +31,5 @@ class DeterministicEnsembleKalman(AbstractEnsembleFilter):
         del key
         solved = regression(white, distances, self.radius)
         move = solved.regressor(anomalies)
-        moved = anomalies - move(white.spread / 2)
-        return move(white.residual[:, None])[:, 0], moved, solved.evidence()
+        updated = anomalies - move(white.spread / 2)
+        return move(white.residual[:, None])[:, 0], updated, solved.evidence()

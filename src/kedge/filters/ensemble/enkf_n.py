@@ -48,10 +48,10 @@ class FiniteSizeEnsembleKalman(AbstractTransform):
             raise ContractError(f"enkf-n: certainty is {self.certainty:g}, must be above 0")
 
     def prior_inflation(
-        self, found: Gram, squares: Float[Array, " k"]
+        self, eigen: Gram, squares: Float[Array, " k"]
     ) -> Float[Array, ""] | float:
         """Where the dual cost is least."""
-        count, values = found.factor.shape[1], found.values
+        count, values = eigen.factor.shape[1], eigen.values
         epsilon, weight = (count - 1) * (1 + 1 / count), float(count)
         # Where the reading says nothing the mode is to be 1, not below.
         uninformed = (jnp.sum(1 / (1 + values)) + count - values.shape[0]) / count

@@ -20,8 +20,8 @@ class EnsembleTransformKalman(AbstractTransform):
     """
 
     def prior_inflation(
-        self, found: Gram, squares: Float[Array, " k"]
+        self, eigen: Gram, squares: Float[Array, " k"]
     ) -> Float[Array, ""] | float:
         """None."""
-        del found, squares
+        del eigen, squares
         return 1.0

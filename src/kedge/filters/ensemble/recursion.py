@@ -135,11 +135,13 @@ class AbstractEnsembleFilter(AbstractFilter[Ensemble]):
 
         white = whiten(model, mean, residual, spread)
         normal = (self.count - 1) ** 0.5
-        shift, moved, evidence = self.analyse(white, anomalies / normal, distances, analyse_key)
-        moved = moved * (normal * self.inflation)
+        shift, updated, evidence = self.analyse(
+            white, anomalies / normal, distances, analyse_key
+        )
+        updated = updated * (normal * self.inflation)
         if self.rotation:
-            moved = moved @ rotation(turn_key, self.count, moved.dtype)
-        after = Ensemble.around(mean, shift[:, None] + moved)
+            updated = updated @ rotation(turn_key, self.count, updated.dtype)
+        after = Ensemble.around(mean, shift[:, None] + updated)
 
         score = scored(residual, white, evidence, model.dof())
         return after, score._replace(accepted=jnp.any(anomalies != 0))

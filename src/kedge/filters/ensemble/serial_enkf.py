@@ -40,15 +40,15 @@ class SerialEnsembleKalman(AbstractEnsembleFilter):
         measured = white.spread.shape[0]
         if distances is None and count < size + measured:
             weights, transform, nis, log_det = _in_ensemble_space(white)
-            shift, moved = anomalies @ weights, anomalies @ transform.T
+            shift, updated = anomalies @ weights, anomalies @ transform.T
         else:
             joint = jnp.concatenate([anomalies, white.spread])
             taper = None
             if distances is not None:
                 both = np.concatenate([distances, between(distances)], axis=1)
                 taper = jnp.asarray(gaspari_cohn(both, self.radius), joint.dtype)
-            shift, moved, nis, log_det = _jointly(joint, white.residual, taper)
-        return shift, moved, Evidence(nis, log_det, innovation_cov(white))
+            shift, updated, nis, log_det = _jointly(joint, white.residual, taper)
+        return shift, updated, Evidence(nis, log_det, innovation_cov(white))
 
 
 def _in_ensemble_space(white: Whitened) -> tuple[Array, Array, Array, Array]:

@@ -40,8 +40,8 @@ class EnsembleKalman(AbstractEnsembleFilter):
         noise = normals(key, white.spread.shape, white.spread.dtype) / normal
         move = solved.regressor(anomalies)
         shift = move(white.residual[:, None])[:, 0]
-        moved = anomalies + move(noise - white.spread)
-        drift = jnp.mean(moved, axis=1)
+        updated = anomalies + move(noise - white.spread)
+        drift = jnp.mean(updated, axis=1)
         # All that perturbations centred before would change is this mean.
         shift = shift if self.centred else shift + drift * normal
-        return shift, moved - drift[:, None], solved.evidence()
+        return shift, updated - drift[:, None], solved.evidence()

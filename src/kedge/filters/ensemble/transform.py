@@ -33,7 +33,7 @@ class AbstractTransform(AbstractEnsembleFilter):
 
     @abc.abstractmethod
     def prior_inflation(
-        self, found: Gram, squares: Float[Array, " k"]
+        self, eigen: Gram, squares: Float[Array, " k"]
     ) -> Float[Array, ""] | float:
         """What the prior anomalies are multiplied by.
 
@@ -50,51 +50,51 @@ class AbstractTransform(AbstractEnsembleFilter):
         """Transform all components alike, or each with its own neighbourhood."""
         del key
         if distances is None:
-            found = gram(white.spread)
-            shift, moved = self._transformed(found, white.residual, anomalies)
-            return shift, moved, _evidence(found, white)
+            eigen = gram(white.spread)
+            shift, updated = self._transformed(eigen, white.residual, anomalies)
+            return shift, updated, _evidence(eigen, white)
 
         near = neighbourhoods(distances, self.radius)
         weights = jnp.asarray(np.sqrt(near.weight), white.spread.dtype)
 
         def local(index, weight, row):
-            found = gram(white.spread[index] * weight[:, None])
-            shift, moved = self._transformed(found, white.residual[index] * weight, row[None])
-            return shift[0], moved[0]
+            eigen = gram(white.spread[index] * weight[:, None])
+            shift, updated = self._transformed(eigen, white.residual[index] * weight, row[None])
+            return shift[0], updated[0]
 
-        shift, moved = jax.vmap(local)(jnp.asarray(near.places), weights, anomalies)
+        shift, updated = jax.vmap(local)(jnp.asarray(near.places), weights, anomalies)
         # One decomposition after the other: batches of them at once can lock up the CPU's pool.
-        spread, shift, moved = lax.optimization_barrier((white.spread, shift, moved))
-        return shift, moved, _evidence(gram(spread), white)
+        spread, shift, updated = lax.optimization_barrier((white.spread, shift, updated))
+        return shift, updated, _evidence(gram(spread), white)
 
     def _transformed(
-        self, found: Gram, residual: Float[Array, " m"], anomalies: Float[Array, "n N"]
+        self, eigen: Gram, residual: Float[Array, " m"], anomalies: Float[Array, "n N"]
     ) -> tuple[Float[Array, " n"], Float[Array, "n N"]]:
-        squares, _ = _coordinates(found, residual)
-        inflation = self.prior_inflation(found, squares)
-        found, anomalies = found.scaled(inflation), anomalies * inflation
-        weights = found.pulled(lambda v: 1 / (1 + v), residual[None])[0]
-        moved = found.applied(
+        squares, _ = _coordinates(eigen, residual)
+        inflation = self.prior_inflation(eigen, squares)
+        eigen, anomalies = eigen.scaled(inflation), anomalies * inflation
+        weights = eigen.pulled(lambda v: 1 / (1 + v), residual[None])[0]
+        updated = eigen.applied(
             lambda v: 1 / jnp.sqrt(1 + v),
             lambda v: -1 / (jnp.sqrt(1 + v) * (1 + jnp.sqrt(1 + v))),
             anomalies,
         )
-        return anomalies @ weights, moved
+        return anomalies @ weights, updated
 
 
 def _coordinates(
-    found: Gram, residual: Float[Array, " m"]
+    eigen: Gram, residual: Float[Array, " m"]
 ) -> tuple[Float[Array, " k"], Float[Array, ""]]:
     """The residual's squared coordinates along the spectrum, and the square of the rest."""
-    if not found.by_column:
-        return (found.vectors.T @ residual) ** 2, jnp.zeros((), residual.dtype)
-    along = (found.vectors.T @ (residual @ found.factor)) ** 2
-    there = found.rank() > 0
-    squares = jnp.where(there, along / jnp.where(there, found.values, 1.0), 0.0)
+    if not eigen.by_column:
+        return (eigen.vectors.T @ residual) ** 2, jnp.zeros((), residual.dtype)
+    along = (eigen.vectors.T @ (residual @ eigen.factor)) ** 2
+    informative = eigen.rank() > 0
+    squares = jnp.where(informative, along / jnp.where(informative, eigen.values, 1.0), 0.0)
     return squares, jnp.maximum(residual @ residual - jnp.sum(squares), 0.0)
 
 
-def _evidence(found: Gram, white: Whitened) -> Evidence:
-    squares, rest = _coordinates(found, white.residual)
-    nis = rest + jnp.sum(squares / (1 + found.values))
-    return Evidence(nis, jnp.sum(jnp.log1p(found.values)), innovation_cov(white))
+def _evidence(eigen: Gram, white: Whitened) -> Evidence:
+    squares, outside = _coordinates(eigen, white.residual)
+    nis = outside + jnp.sum(squares / (1 + eigen.values))
+    return Evidence(nis, jnp.sum(jnp.log1p(eigen.values)), innovation_cov(white))

@@ -80,8 +80,8 @@ class AbstractRelinearised(AbstractMomentPrediction):
         for _ in range(self.iterations):
             image = seen(point, root)
             A = gain(image.after @ image.before.T, root)
-            rest = image.after - A @ image.before
-            R = symmetric(rest @ rest.T + noise_cov)
+            residuals = image.after - A @ image.before
+            R = symmetric(residuals @ residuals.T + noise_cov)
             S = symmetric(A @ A.T) + R
             S_root = cholesky(S)
             K = gain(A.T, S_root)

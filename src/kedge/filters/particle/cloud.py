@@ -86,14 +86,14 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
 
     def __check_init__(self):
         name = filters.name_of(type(self))
-        for field, found, least in (
+        for field, value, least in (
             ("count", self.count, 2),
             ("oversampling", self.oversampling, 1),
             ("threshold", self.threshold, 0),
             ("regularisation", self.regularisation, 0),
         ):
-            if isinstance(found, int | float) and not found >= least:
-                raise ContractError(f"{name}: {field} is {found}, must be at least {least}")
+            if isinstance(value, int | float) and not value >= least:
+                raise ContractError(f"{name}: {field} is {value}, must be at least {least}")
         for field, word, known in (
             ("resampling", self.resampling, list(SCHEMES)),
             ("start", self.start, STARTS),
@@ -242,8 +242,8 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         offset = jr.randint(offset_key, (), 0, self.oversampling)
         chosen = chosen.reshape(self.count, self.oversampling)[:, offset]
         states = jax.tree.map(lambda leaf: leaf[chosen], many)
-        found = _equal(self.count, shares.dtype) + evidence
-        done = Weighed(states, found, jnp.asarray(True), jnp.asarray(False))
+        restarted = _equal(self.count, shares.dtype) + evidence
+        done = Weighed(states, restarted, jnp.asarray(True), jnp.asarray(False))
         return done, effective_sample_size(shares)
 
 

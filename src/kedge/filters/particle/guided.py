@@ -67,8 +67,8 @@ class GuidedParticle(AbstractParticleFilter):
 
     def __check_init__(self):
         if self.proposal not in PROPOSALS:
-            found = unknown("proposal", self.proposal, list(PROPOSALS))
-            raise ContractError(f"guided: {found}")
+            problem = unknown("proposal", self.proposal, list(PROPOSALS))
+            raise ContractError(f"guided: {problem}")
         if self.iterations < 1:
             raise ContractError(f"guided: iterations is {self.iterations}, must be at least 1")
 

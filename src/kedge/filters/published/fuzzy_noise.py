@@ -58,15 +58,15 @@ class FuzzyNoise(AbstractNoiseLearner):
         noisy = Inflated(model, factor)
         posterior, felt = self.inner.update(noisy, belief.belief, measurement, key)
 
-        found = felt.nis / jnp.maximum(felt.dof, 1)
-        mixed = ratio + (found - ratio) / self.window
+        seen = felt.nis / jnp.maximum(felt.dof, 1)
+        mixed = ratio + (seen - ratio) / self.window
         # Below the smallest centre all means the same, and the logarithm stays finite.
         change = inferred(jnp.log2(jnp.maximum(mixed, 2.0**-8)), RULES) / self.window
-        moved = jnp.clip(factor * 2.0**change, self.floor, self.ceiling)
+        corrected = jnp.clip(factor * 2.0**change, self.floor, self.ceiling)
         taught = jnp.asarray(score.accepted) & felt.accepted
         learned = Adapted(
             posterior,
-            belief.factor | {name: jnp.where(taught, moved, factor)},
+            belief.factor | {name: jnp.where(taught, corrected, factor)},
             belief.ratio | {name: jnp.where(taught, mixed, ratio)},
         )
         return learned, score

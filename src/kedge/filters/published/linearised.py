@@ -144,8 +144,8 @@ def line_at(vehicle: AbstractVehicle, at: Any, steered: Any, control: Any, dt: S
     calm = noises.unflatten(jnp.zeros_like(std))
 
     def step(error: Float[Array, " n"], noise: Float[Array, " w"]) -> Any:
-        moved = states.boxplus(at, error)
-        return vehicle.step(moved, control, noises.unflatten(noise), dt)
+        displaced = states.boxplus(at, error)
+        return vehicle.step(displaced, control, noises.unflatten(noise), dt)
 
     unit = jnp.eye(states.size, dtype=std.dtype)
     factors = Taylor().factors(step, unit, std)
@@ -163,11 +163,11 @@ def line_at(vehicle: AbstractVehicle, at: Any, steered: Any, control: Any, dt: S
 
 def coordinates(point: Any) -> Float[Array, " n"]:
     """A point as a tangent vector from the origin of its charts."""
-    found = space(point)
-    return found.boxminus(point, origin_of(found))
+    states = space(point)
+    return states.boxminus(point, origin_of(states))
 
 
-def origin_of(found: Space) -> Any:
+def origin_of(states: Space) -> Any:
     """The point from which coordinates are counted."""
-    missing = found.cls(*(jnp.full(chart.shape, jnp.nan) for chart in found.charts))
-    return found.complete(missing)[0]
+    missing = states.cls(*(jnp.full(chart.shape, jnp.nan) for chart in states.charts))
+    return states.complete(missing)[0]

@@ -57,7 +57,7 @@ class Raw(AbstractGaussianFilter):
         K = gain(H.T, cholesky(symmetric(H @ H.T) + jnp.diag(jnp.where(none, 1.0, 0.0))))
         residual = space(expected).boxminus(measurement, expected)
         mean, turn = moved(belief.mean, K @ residual)
-        rest = unit - K @ H
+        complement = unit - K @ H
         R = model.noise_cov(belief.mean)
-        cov = symmetric(rest @ belief.cov @ rest.T + K @ R @ K.T)
+        cov = symmetric(complement @ belief.cov @ complement.T + K @ R @ K.T)
         return Gaussian(mean, turned(turn, cov)), score

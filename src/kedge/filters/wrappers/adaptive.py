@@ -48,8 +48,8 @@ class Adaptive(AbstractNoiseLearner):
         root = cholesky(noise_cov)
         white = solve_lower(root, score.residual)
         share = solve_lower(root, solve_lower(root, score.cov - factor * noise_cov).T)
-        there = jnp.maximum(score.dof, 1)
-        sample = (white @ white - jnp.trace(share)) / there
+        dof = jnp.maximum(score.dof, 1)
+        sample = (white @ white - jnp.trace(share)) / dof
         mixed = factor + (sample - factor) / self.window
         learned = jnp.where(score.accepted, jnp.clip(mixed, self.floor, self.ceiling), factor)
 

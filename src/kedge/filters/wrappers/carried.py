@@ -177,8 +177,8 @@ def _joined(cls: Any, part: Any, rest: dict[str, Any]) -> Any:
 
 def _places(cls: Any, without: Sequence[str]) -> Int[np.ndarray, " k"]:
     """Where in a tangent vector of the whole state the estimated components stand."""
-    found = space_of(cls).slices()
+    slices = space_of(cls).slices()
     kept = [
-        np.arange(cut.start, cut.stop) for name, cut in found.items() if name not in without
+        np.arange(cut.start, cut.stop) for name, cut in slices.items() if name not in without
     ]
     return np.concatenate(kept)

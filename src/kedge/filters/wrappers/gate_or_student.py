@@ -74,16 +74,16 @@ class GateOrStudent(AbstractOutlierTest):
 
     def __check_init__(self):
         for name in ("false_alarm", "share"):
-            found = getattr(self, name)
-            if not 0 < found < 1:
+            value = getattr(self, name)
+            if not 0 < value < 1:
                 raise ContractError(
-                    f"gate-or-student: {name} is {found:g}, must be between 0 and 1"
+                    f"gate-or-student: {name} is {value:g}, must be between 0 and 1"
                 )
         for name in ("window", "tuning"):
-            found = getattr(self, name)
-            if isinstance(found, int | float) and not 0 < found < np.inf:
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not 0 < value < np.inf:
                 raise ContractError(
-                    f"gate-or-student: {name} is {found:g}, must be above 0 and finite"
+                    f"gate-or-student: {name} is {value:g}, must be above 0 and finite"
                 )
 
     def unwrap(self, belief: Any) -> Any:
@@ -108,9 +108,9 @@ class GateOrStudent(AbstractOutlierTest):
         key: PRNGKeyArray,
     ) -> Counted:
         """The inner filter's prediction; what was refused is forgotten by and by."""
-        moved = self.inner.predict(vehicle, belief.belief, control, dt, key)
+        predicted = self.inner.predict(vehicle, belief.belief, control, dt, key)
         kept = jnp.exp(-dt / self.window)
-        return Counted(moved, belief.refused * kept, belief.all * kept)
+        return Counted(predicted, belief.refused * kept, belief.all * kept)
 
     def update(
         self,

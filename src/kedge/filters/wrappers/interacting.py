@@ -77,9 +77,9 @@ class InteractingModels(AbstractFilter[Mixture]):
                 f"interacting: inner is {type(self.inner).__name__}, which carries no "
                 "Gaussian; expected a filter such as 'extended' or 'unscented'"
             )
-        for name, found in (("noise", self.noise), ("sojourn", self.sojourn)):
-            if isinstance(found, int | float) and not found > 0:
-                raise ContractError(f"interacting: {name} is {found:g}, must be above 0")
+        for name, value in (("noise", self.noise), ("sojourn", self.sojourn)):
+            if isinstance(value, int | float) and not value > 0:
+                raise ContractError(f"interacting: {name} is {value:g}, must be above 0")
         if self.vehicles is not None and len(self.vehicles) < 2:
             raise ContractError(
                 f"interacting: {len(self.vehicles)} vehicles, expected at least 2"
@@ -121,11 +121,11 @@ class InteractingModels(AbstractFilter[Mixture]):
         """Mix, then move every mode by its own motion."""
         joint = jnp.exp(belief.log_weights)[:, None] * self._switching(dt)
         weights = jnp.sum(joint, axis=0)
-        moved = []
+        predicted = []
         for j, mode in enumerate(self.modes(vehicle)):
             start = self.inner.init(belief.merged(joint[:, j] / weights[j]), key)
-            moved.append(self.inner.predict(mode, start, control, dt, key).moments())
-        components = jax.tree.map(lambda *leaves: jnp.stack(leaves), *moved)
+            predicted.append(self.inner.predict(mode, start, control, dt, key).moments())
+        components = jax.tree.map(lambda *leaves: jnp.stack(leaves), *predicted)
         return Mixture(components, jnp.log(weights))
 
     def update(

@@ -78,8 +78,8 @@ class AbstractNoiseLearner(AbstractWrapper):
         self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar, key: PRNGKeyArray
     ) -> Adapted:
         """The inner filter's prediction."""
-        moved = self.inner.predict(vehicle, belief.belief, control, dt, key)
-        return belief._replace(belief=moved)
+        predicted = self.inner.predict(vehicle, belief.belief, control, dt, key)
+        return belief._replace(belief=predicted)
 
     def source_of(self, model: AbstractMeasurementModel, belief: Adapted) -> str:
         """Name of the sensor that speaks.

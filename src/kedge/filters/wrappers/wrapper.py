@@ -33,7 +33,9 @@ class AbstractWrapper(AbstractFilter[Any]):
 
     def bind_sensors(self, sources: tuple[str, ...]) -> AbstractFilter:
         """Pass it on."""
-        return eqx.tree_at(lambda own: own.inner, self, self.inner.bind_sensors(sources))
+        return eqx.tree_at(
+            lambda wrapper: wrapper.inner, self, self.inner.bind_sensors(sources)
+        )
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Any:
         """The inner filter's belief."""
