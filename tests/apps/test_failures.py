@@ -76,10 +76,27 @@ def test_standard_output_that_is_closed():
 
 @pytest.mark.skipif(os.name != "posix", reason="a pipe of a shell")
 def test_a_reader_that_has_seen_enough_is_no_failure_to_speak_of():
-    command = f"'{sys.executable}' -m kedge.apps.cli list filters | head -1"
+    # All that there is: more than a pipe holds once its reader is gone.
+    command = f"{{ '{sys.executable}' -m kedge.apps.cli list; echo $? >&2; }} | head -1"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "filters"
-    assert done.stderr == ""
+    assert done.stdout.strip() == "vehicles"
+    assert done.stderr.strip() == "0"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("study", "lorenz63", "--seed", "1e20"), "Invalid value for '--seed'"),
+        (("study", "lorenz63", "--outt", "x"), "No such option: --outt"),
+        (("studdy",), "No such command 'studdy'"),
+        (("estimate",), "Missing argument 'rig'"),
+    ],
+)
+def test_a_mistyped_command_line_is_answered_in_one_line(arguments, message):
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"kedge: {message}")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_platform_that_is_not_there_is_not_blamed_on_the_rig(site):

@@ -4,6 +4,7 @@ import sys
 from importlib.resources import files
 from typing import Any
 
+from kedge.apps.console import printer
 from kedge.core.errors import UnknownName
 from kedge.core.registry import readers, unknown
 
@@ -40,9 +41,7 @@ def catalogue(what: str = "all") -> dict[str, dict[str, Any]]:
 
 def print_catalogue(families: dict[str, dict[str, Any]]) -> None:
     """Names, what they are, and their parameters, for people."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
+    console = printer(None)
     for family, table in families.items():
         console.print(f"[bold]{family}[/bold]")
         for name, about in table.items():

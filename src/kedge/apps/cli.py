@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+import typer.main
 
 from kedge import __version__
 from kedge.apps.console import (
@@ -382,9 +383,11 @@ def main() -> None:
     try:
         with interruptions(), plain_warnings():
             try:
-                app()
+                _invoke(sys.argv[1:])
             finally:
                 flush_output(closed)
+    except typer.Exit as error:
+        sys.exit(error.exit_code)
     except ThresholdMissed as error:
         end(3, str(error))
     except Interrupted as error:
@@ -396,6 +399,14 @@ def main() -> None:
         if debug:
             traceback.print_exc()
         end(*explained(error))
+
+
+def _invoke(arguments: list[str]) -> None:
+    # Not by `app()`, which answers a mistyped option with a box of lines, and a reader that has
+    # seen enough (`kedge list | head`) with the exit code 1.
+    command = typer.main.get_command(app)
+    with command.make_context("kedge", arguments) as context:
+        command.invoke(context)
 
 
 if __name__ == "__main__":

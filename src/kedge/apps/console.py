@@ -70,6 +70,18 @@ def interruptions() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def printer(width: int | None = 140) -> Any:
+    """A Rich console on standard output; ``width`` columns wide where that is no terminal."""
+    from rich.console import Console
+
+    class Printer(Console):
+        def on_broken_pipe(self) -> None:
+            # Rich would end with 1 when the reader (`| head`) has seen enough.
+            raise BrokenPipeError
+
+    return Printer(width=None if sys.stdout.isatty() else width, highlight=False)
+
+
 @contextlib.contextmanager
 def console_progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Give a function that says what is being done; a spinner on a terminal, else lines."""
@@ -144,7 +156,6 @@ def print_sensors(filters: Mapping[str, FilterScores]) -> None:
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], sides: str = "l") -> None:
     """A table; ``sides`` has an l or r for each column, r for those it does not have."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, header_style="bold", pad_edge=False)
@@ -153,7 +164,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], sides: str =
     for row in rows:
         table.add_row(*row)
     # A pipe has no width; a table squeezed into 80 columns would lose its numbers.
-    Console(width=None if sys.stdout.isatty() else 140, highlight=False).print(table)
+    printer().print(table)
 
 
 def _columns(filters: Mapping[str, FilterScores]) -> dict[str, Callable[[FilterScores], str]]:

@@ -5,7 +5,9 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import typer
 
 import kedge
 from kedge.config.plugins import place_in_plugin
@@ -15,6 +17,8 @@ INPUT = 2
 DEFECT = 70
 """An error in kedge itself (EX_SOFTWARE of sysexits.h): no input can be to blame."""
 PACKAGE = str(Path(kedge.__file__).parent)
+UsageError: type = typer.BadParameter.__bases__[0]
+"""An option or argument that is unknown, missing or of no use."""
 HINT = "--debug shows the traceback"
 
 
@@ -22,6 +26,8 @@ def explained(error: Exception) -> tuple[int, str]:
     """Exit code and message of what a command raised."""
     if isinstance(error, KedgeError):
         return INPUT, str(error)
+    if isinstance(error, UsageError):
+        return INPUT, _usage(error)
     what = _one_line(f"{type(error).__name__}: {error}")
     if place := place_in_plugin(error):
         return INPUT, f"{place}: {what} ({HINT})"
@@ -60,6 +66,15 @@ def end(code: int, message: str) -> NoReturn:
     """Say what went wrong, and end."""
     print(f"kedge: {message}", file=sys.stderr)
     sys.exit(code)
+
+
+def _usage(error: Any) -> str:
+    command = error.ctx.command_path if error.ctx else "kedge"
+    message = " ".join(error.format_message().split())
+    if type(error).__name__ == "NoArgsIsHelpError":
+        # Its message is the help, and nothing was wrong.
+        return f"expected a command; {command} --help lists them"
+    return f"{message} ({command} --help)"
 
 
 def _one_line(text: str, most: int = 300) -> str:

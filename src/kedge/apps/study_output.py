@@ -1,7 +1,6 @@
 """What ``kedge study`` and ``kedge merge`` leave and print."""
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from kedge.apps.console import printer
 from kedge.apps.summaries import facts_of, provenance
 from kedge.config.scenarios import Setting
 from kedge.evaluation.record import by_name, record
@@ -136,7 +136,6 @@ def _judged(setting: Setting, evidence: Evidence) -> Verdicts:
 
 def print_study(summary: StudySummary) -> None:
     """The table of filters, the published score beside ours."""
-    from rich.console import Console
     from rich.table import Table
 
     rows = summary.filters
@@ -162,7 +161,7 @@ def print_study(summary: StudySummary) -> None:
         cells += _honesty(row.settled) * known
         cells += [str(row.failed)] * failed + [_shown(row.seconds_per_run, ".2g")]
         table.add_row(name, *cells)
-    console = Console(width=None if sys.stdout.isatty() else 180, highlight=False)
+    console = printer(180)
     about = summary.about
     console.print(f"{about.title}: {about.runs} runs, seed {about.seed}")
     console.print(table)

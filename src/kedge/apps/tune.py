@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge import __version__
-from kedge.apps.console import console_progress
+from kedge.apps.console import console_progress, printer
 from kedge.apps.workflow import load, settings
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, load_problem
@@ -170,10 +170,9 @@ def tuned_rig(rig: str, after: Problem) -> str:
 
 def print_tuned(summary: Mapping[str, Any]) -> None:
     """The table of numbers, what the log says of them, and the scores before and after."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 140, highlight=False)
+    console = printer()
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("parameter", "start", "found", "factor", "std error", "identified"):
         table.add_column(
