@@ -1,5 +1,6 @@
 """Whatever goes wrong is one line and an exit code that says whose fault it is."""
 
+import json
 import os
 import subprocess
 import sys
@@ -108,3 +109,21 @@ def test_a_platform_that_is_not_there_is_not_blamed_on_the_rig(site):
     message = [text for text in done.stderr.splitlines() if not text.startswith("[")]
     assert len(message) == 1, done.stderr
     assert message[0].startswith("kedge: JAX_PLATFORMS=nonsense: JAX cannot compute")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locales and homes of POSIX")
+def test_a_plain_locale_and_a_home_that_cannot_be_written_are_no_obstacle(site):
+    """As in a container: no UTF-8, no home folder, no cache; the result is what it is else."""
+    homeless = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    places = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
+    homeless |= dict.fromkeys(places, "/dev/null/none")
+    folder = site / "ergebnis-ä"
+    done = run(
+        "estimate", str(site / "rig.toml"), str(site / "log"), "--out", str(folder),
+        env={k: v for k, v in os.environ.items() if k != "KEDGE_NATIVE_CACHE"} | homeless,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert (folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["filters"]
+    assert summary["arguments"][-1] == str(folder)

@@ -1,8 +1,5 @@
 """The command line. Commands import what they need when they run, so ``--help`` is quick."""
 
-import os
-import sys
-import traceback
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,18 +8,14 @@ import typer.main
 
 from kedge import __version__
 from kedge.apps.console import (
-    Interrupted,
-    ThresholdMissed,
     check_requirements,
     finish,
-    interruptions,
     parse_requirements,
-    plain_warnings,
     print_filters,
     print_json,
     require,
 )
-from kedge.apps.failures import end, explained, flush_output
+from kedge.apps.failures import run
 from kedge.apps.options import (
     LARGEST_SEED,
     Force,
@@ -375,38 +368,7 @@ def _root(
 
 def main() -> None:
     """Run one command; what goes wrong becomes one message and an exit code."""
-    debug = "--debug" in sys.argv[1:]
-    sys.argv[1:] = [argument for argument in sys.argv[1:] if argument != "--debug"]
-    closed = sys.stdout is None
-    if closed:
-        sys.stdout = open(os.devnull, "w")
-    try:
-        with interruptions(), plain_warnings():
-            try:
-                _invoke(sys.argv[1:])
-            finally:
-                flush_output(closed)
-    except typer.Exit as error:
-        sys.exit(error.exit_code)
-    except ThresholdMissed as error:
-        end(3, str(error))
-    except Interrupted as error:
-        end(130, f"interrupted; {error}")
-    except BrokenPipeError:
-        # `kedge list | head`: the reader has seen enough; nothing is left to flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except Exception as error:
-        if debug:
-            traceback.print_exc()
-        end(*explained(error))
-
-
-def _invoke(arguments: list[str]) -> None:
-    # Not by `app()`, which answers a mistyped option with a box of lines, and a reader that has
-    # seen enough (`kedge list | head`) with the exit code 1.
-    command = typer.main.get_command(app)
-    with command.make_context("kedge", arguments) as context:
-        command.invoke(context)
+    run(typer.main.get_command(app))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import math
+import os
 import re
 import signal
 import sys
@@ -68,6 +69,11 @@ def interruptions() -> Iterator[None]:
         raise Interrupted("nothing new is kept") from None
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def command_line() -> list[str]:
+    """The arguments as they were typed: UTF-8, whatever the locale takes them for."""
+    return [os.fsencode(argument).decode("utf-8", "replace") for argument in sys.argv[1:]]
 
 
 def printer(width: int | None = 140) -> Any:

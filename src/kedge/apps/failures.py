@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import typer
 
 import kedge
+from kedge.apps.console import Interrupted, ThresholdMissed, interruptions, plain_warnings
 from kedge.config.plugins import place_in_plugin
 from kedge.core.errors import DataError, KedgeError
 
@@ -62,8 +63,40 @@ def flush_output(closed: bool) -> None:
         raise DataError(f"standard output: cannot be written: {error.strerror}") from error
 
 
-def end(code: int, message: str) -> NoReturn:
-    """Say what went wrong, and end."""
+def run(command: Any) -> None:
+    """Run the command line that was typed, by a Typer ``command``.
+
+    Not as Typer itself does, which answers a mistyped option with a box of lines, and a reader
+    that has seen enough (``kedge list | head``) with the exit code 1.
+    """
+    debug = "--debug" in sys.argv[1:]
+    sys.argv[1:] = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    closed = sys.stdout is None
+    if closed:
+        sys.stdout = open(os.devnull, "w")
+    try:
+        with interruptions(), plain_warnings():
+            try:
+                with command.make_context("kedge", sys.argv[1:]) as context:
+                    command.invoke(context)
+            finally:
+                flush_output(closed)
+    except typer.Exit as error:
+        sys.exit(error.exit_code)
+    except ThresholdMissed as error:
+        _end(3, str(error))
+    except Interrupted as error:
+        _end(130, f"interrupted; {error}")
+    except BrokenPipeError:
+        # Nothing is left to flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        _end(*explained(error))
+
+
+def _end(code: int, message: str) -> NoReturn:
     print(f"kedge: {message}", file=sys.stderr)
     sys.exit(code)
 

@@ -1,6 +1,5 @@
 """The work behind ``kedge locate``: a fix for every epoch of ranges in a log."""
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from kedge import __version__
-from kedge.apps.console import console_progress, print_table
+from kedge.apps.console import command_line, console_progress, print_table
 from kedge.apps.output import file_name
 from kedge.apps.summaries import provenance
 from kedge.apps.workflow import load
@@ -213,7 +212,7 @@ def _report(
         folder, "locate.html.j2", front, plates,
         solvers=solver_table(scores), residuals=residual_rows(fixes[best], heard.names),
         principal=best, notes=list(problem.notes), configuration=as_toml(problem.config),
-        facts={"command": "kedge " + " ".join(sys.argv[1:]), "kedge": __version__},
+        facts={"command": "kedge " + " ".join(command_line()), "kedge": __version__},
     )  # fmt: skip
 
 

@@ -1,12 +1,12 @@
 """What the summaries of all commands share: where a result comes from, and their schema."""
 
 import platform
-import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 from kedge import __version__
+from kedge.apps.console import command_line
 from kedge.estimation.compiled import compiler
 from kedge.evaluation.fix_scores import LocateSummary
 from kedge.evaluation.record import schema
@@ -29,7 +29,7 @@ def provenance(
     parts = {**digests, "configuration": digest(configuration)}
     return Provenance(
         command=command,
-        arguments=tuple(sys.argv[1:]),
+        arguments=tuple(command_line()),
         version=__version__,
         title=title,
         runs=runs,

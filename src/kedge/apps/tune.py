@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge import __version__
-from kedge.apps.console import console_progress, printer
+from kedge.apps.console import command_line, console_progress, printer
 from kedge.apps.workflow import load, settings
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, load_problem
@@ -108,7 +108,7 @@ def summarise(
     """What goes into ``tune.json``."""
     return {
         "command": "tune",
-        "arguments": sys.argv[1:],
+        "arguments": command_line(),
         "version": __version__,
         "platform": f"Python {platform.python_version()}, {platform.machine()}",
         "title": problem.title,

@@ -77,5 +77,6 @@ def write_page(
         front=front, palette=style.PALETTE, figures=drawn, **context
     )
     path = folder / "report.html"
-    path.write_text(page, encoding="utf-8")
+    # The name of a folder that this locale cannot read keeps its bytes.
+    path.write_bytes(page.encode("utf-8", "surrogateescape"))
     return path
