@@ -47,6 +47,11 @@ def test_two_sensors_of_one_kind_are_told_apart_by_name():
         both.index("mast")
 
 
+def test_sensors_may_be_a_list():
+    installed = [Installation("gnss", sensors.make("gnss"))]
+    assert Rig(vehicles.make("unicycle"), installed, PRIOR).sensors == tuple(installed)
+
+
 def test_one_name_for_two_sensors_is_refused():
     twins = (Installation("bow", sensors.make("gnss")), Installation("bow", Landmarks()))
     with pytest.raises(ContractError, match="two sensors are called 'bow'"):

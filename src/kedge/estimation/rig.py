@@ -130,7 +130,7 @@ class Rig(eqx.Module):
     """
 
     vehicle: AbstractVehicle
-    sensors: tuple[Installation, ...]
+    sensors: tuple[Installation, ...] = eqx.field(converter=tuple)
     prior: Gaussian
     origin: Origin = eqx.field(static=True, default=Origin(), repr=False)
     """For :func:`kedge.read_log`: where the columns of a log are said."""
