@@ -32,7 +32,7 @@ POLAR = np.diag([0.02**2, np.deg2rad(15) ** 2])
 
 def moments(strategy):
     """Mean, covariance and cross-covariance; the posterior is a function and stays inside."""
-    return quick_jit(lambda cov: strategy.image(to_cartesian, cov)[:3])(POLAR)
+    return quick_jit(lambda cov: strategy.propagated(to_cartesian, cov)[:3])(POLAR)
 
 
 def test_polar_to_cartesian():
@@ -79,8 +79,8 @@ def test_moments_of_a_linear_function_are_exact(strategy):
 
     @quick_jit
     def images(cov, std):
-        moved = strategy.image(lambda e, w: Place(slope @ e + effect @ w), cov, std)
-        seen = strategy.image(lambda e: Place(slope @ e), cov)
+        moved = strategy.propagated(lambda e, w: Place(slope @ e + effect @ w), cov, std)
+        seen = strategy.propagated(lambda e: Place(slope @ e), cov)
         return moved[:3], seen[:3], seen.posterior(jnp.asarray(K), jnp.asarray(R))
 
     (mean, after, cross), seen, rest = images(cov, std)
@@ -103,7 +103,7 @@ def test_a_negative_centre_weight_does_not_jump_at_the_seam(heading):
         def turned(error):
             return Turn(jnp.mod(heading + error[0] + jnp.pi, 2 * jnp.pi) - jnp.pi)
 
-        return strategy.image(turned, jnp.array([[0.25]]))[:2]
+        return strategy.propagated(turned, jnp.array([[0.25]]))[:2]
 
     mean, cov = image(heading)
     gap = np.angle(np.exp(1j * (float(mean.heading) - heading)))
@@ -113,4 +113,4 @@ def test_a_negative_centre_weight_does_not_jump_at_the_seam(heading):
 
 def test_affine_only_refuses_a_curve():
     with pytest.raises(ContractError, match=r"Place depends nonlinearly.*use 'extended'"):
-        Taylor(affine_only=True).image(to_cartesian, jnp.asarray(POLAR))
+        Taylor(affine_only=True).propagated(to_cartesian, jnp.asarray(POLAR))

@@ -224,7 +224,7 @@ def _motion(
     std = process_std(vehicle, dt)
     step = motion(vehicle, before, event.control, dt)
     if isinstance(filter, Kalman):
-        filter.strategy().image(step, rig.prior.cov, std)  # refuses what is not linear
+        filter.strategy().propagated(step, rig.prior.cov, std)  # refuses what is not linear
 
     def ahead(joint: Float[Array, " nw"]) -> Float[Array, " n"]:
         return states.boxminus(step(*jnp.split(joint, [states.size])), at)
@@ -267,7 +267,7 @@ def _element(
             model, measurement = bind_reading(installation, reading)
             expect, outputs = expectation_of(model, at), space(measurement)
             if isinstance(filter, Kalman):
-                filter.strategy().image(expect, rig.prior.cov)
+                filter.strategy().propagated(expect, rig.prior.cov)
 
             def away(error: Float[Array, " n"]) -> Float[Array, " m"]:
                 return outputs.boxminus(measurement, expect(error))

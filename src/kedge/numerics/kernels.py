@@ -26,7 +26,7 @@ def bandwidth(size: int, count: int) -> float:
     return (4 / (size + 2) / count) ** (1 / (size + 4))
 
 
-def smeared(key: PRNGKeyArray, states: Any, cloud: Gaussian, width: Scalar) -> Any:
+def roughened(key: PRNGKeyArray, states: Any, cloud: Gaussian, width: Scalar) -> Any:
     r"""Draw each state from its kernel: $x_i \boxplus h L \xi_i$ with $L L^\top = P$.
 
     The covariance P of the ``cloud`` grows to $(1 + h^2) P$.

@@ -45,18 +45,18 @@ def square_root(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     A pivot that vanishes to rounding leaves a column of zeros: what is known exactly does not
     spread. NaN where a pivot is negative beyond rounding, which the pivots before it amplify.
     """
-    return _semidefinite(matrix, lift=False)[0]
+    return _semidefinite(matrix, clip=False)[0]
 
 
 def definite(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], Int[Array, ""]]:
-    """The matrix with its negative pivots lifted to zero, and how many had to be.
+    """The matrix with its negative pivots clipped to zero, and how many had to be.
 
     With none the matrix itself comes back, to the bit. What is not finite stays so, and is not
     counted: a repair mends indefiniteness, not errors.
     """
-    root, lifted = _semidefinite(matrix, lift=True)
-    lifted = jnp.where(jnp.isfinite(matrix).all(), lifted, 0)
-    return jnp.where(lifted > 0, root @ root.T, matrix), lifted
+    root, clipped = _semidefinite(matrix, clip=True)
+    clipped = jnp.where(jnp.isfinite(matrix).all(), clipped, 0)
+    return jnp.where(clipped > 0, root @ root.T, matrix), clipped
 
 
 def triangularise(rows: Float[Array, "m k"]) -> Float[Array, "m m"]:
@@ -137,9 +137,9 @@ def _factorise(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def _semidefinite(
-    matrix: Float[Array, "n n"], lift: bool
+    matrix: Float[Array, "n n"], clip: bool
 ) -> tuple[Float[Array, "n n"], Int[Array, ""]]:
-    """Factorise with vanishing pivots; with ``lift``, negative ones vanish and are counted."""
+    """Factorise with vanishing pivots; with ``clip``, negative ones vanish and are counted."""
     size, zero = matrix.shape[0], jnp.zeros((), matrix.dtype)
     rounding = 16 * size * float(jnp.finfo(matrix.dtype).eps)
 
@@ -147,7 +147,7 @@ def _semidefinite(
         """Inverse root of a pivot, 0 where it vanishes; and whether it was negative."""
         negative = pivot < -(rounding**0.5) * jnp.abs(variance)
         vanishes = pivot <= rounding * jnp.abs(variance)
-        vanishes = vanishes if lift else vanishes & ~negative
+        vanishes = vanishes if clip else vanishes & ~negative
         return jnp.where(vanishes, 0, 1 / jnp.sqrt(jnp.where(vanishes, 1, pivot))), negative
 
     def column_of(j: Array | int, columns: Array) -> tuple[Array, Array]:
@@ -155,35 +155,35 @@ def _semidefinite(
         inverse, negative = inverse_of(remainder[j], matrix[j, j])
         return jnp.where(jnp.arange(size) < j, zero, remainder * inverse), negative
 
-    lifted = jnp.zeros((), int)
+    clipped = jnp.zeros((), int)
     if size > UNROLLED:
 
         def eliminate(j: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             column, negative = column_of(j, carry[0])
             return carry[0].at[:, j].set(column), carry[1] + negative
 
-        none = jnp.zeros_like(matrix), lifted
+        none = jnp.zeros_like(matrix), clipped
         library = library_cholesky(lax.stop_gradient(matrix), lower=True)
         regular = jnp.all(jnp.diag(library) ** 2 > rounding * jnp.diag(matrix))
         if size <= UNROLLED_COLUMNS:
             return lax.cond(
                 regular,
                 # Anew, since where it fails even a derivative that nobody takes is NaN.
-                lambda: (library_cholesky(matrix, lower=True), lifted),
+                lambda: (library_cholesky(matrix, lower=True), clipped),
                 lambda: lax.fori_loop(0, size, eliminate, none),
             )
         # No steps rather than a branch: in a batch, both sides of a branch would be computed.
-        start = jnp.where(regular, library_cholesky(matrix, lower=True), none[0]), lifted
+        start = jnp.where(regular, library_cholesky(matrix, lower=True), none[0]), clipped
         return lax.fori_loop(0, jnp.where(regular, 0, size), eliminate, start)
     root: list[list[Array]] = [[zero] * size for _ in range(size)]
     for j in range(size):
         pivot = matrix[j, j] - sum((root[j][k] ** 2 for k in range(j)), zero)
         inverse, negative = inverse_of(pivot, matrix[j, j])
-        root[j][j], lifted = pivot * inverse, lifted + negative
+        root[j][j], clipped = pivot * inverse, clipped + negative
         for i in range(j + 1, size):
             projected = sum((root[i][k] * root[j][k] for k in range(j)), zero)
             root[i][j] = (matrix[i, j] - projected) * inverse
-    return _assemble(root, matrix), lifted
+    return _assemble(root, matrix), clipped
 
 
 def _assemble(rows: list[list[Array]], like: Float[Array, "n n"]) -> Float[Array, "n n"]:

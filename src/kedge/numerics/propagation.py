@@ -1,8 +1,8 @@
 """What a nonlinear function does to a Gaussian: one strategy type, shared by the filters.
 
 A strategy takes ``function(error)`` or ``function(error, noise)``, defined on the tangent
-space around a belief's mean, and returns its :class:`Image` or, for square-root filters, the
-:class:`Factors` of it.
+space around a belief's mean, and returns its :class:`PropagatedMoments` or, for square-root
+filters, the :class:`Factors` of it.
 """
 
 import abc
@@ -23,7 +23,7 @@ from kedge.numerics.quadrature import Rule
 Function = Callable[..., Any]
 
 
-class Image(NamedTuple):
+class PropagatedMoments(NamedTuple):
     """A Gaussian seen through a function."""
 
     mean: Any
@@ -34,11 +34,13 @@ class Image(NamedTuple):
     posterior: Callable[[Float[Array, "n m"], Float[Array, "m m"]], Float[Array, "n n"]]
     r"""Covariance of ``error - K (value + noise)`` for any gain K and noise of covariance R:
     what is wrong with K only adds to it (Joseph's form, for every strategy)."""
-    sound: Callable[[Float[Array, "k k"]], tuple[Float[Array, "k k"], Int[Array, ""] | int]]
-    """Makes a covariance computed from this image symmetric and, if the strategy's weights
-    can be negative, semi-definite; says how many pivots had to be lifted for that."""
+    semidefinite: Callable[
+        [Float[Array, "k k"]], tuple[Float[Array, "k k"], Int[Array, ""] | int]
+    ]
+    """Makes a covariance computed from these moments symmetric and, if the strategy's weights
+    can be negative, projects it to a positive semi-definite one; counts the clipped pivots."""
     repairs: Int[Array, ""] | int = 0
-    """How many had to be lifted in ``cov``, which is sound already."""
+    """How many were clipped in ``cov``, which is positive semi-definite already."""
 
 
 class Factors(NamedTuple):
@@ -62,12 +64,12 @@ class AbstractPropagation(eqx.Module):
         return False
 
     @abc.abstractmethod
-    def image(
+    def propagated(
         self,
         function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
-    ) -> Image:
+    ) -> PropagatedMoments:
         """Moments of ``function`` at an error of ``cov`` and, if given, independent noise."""
 
     @abc.abstractmethod
@@ -92,19 +94,19 @@ class Taylor(AbstractPropagation):
 
     affine_only: bool = eqx.field(static=True, default=False)
 
-    def image(
+    def propagated(
         self,
         function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
-    ) -> Image:
+    ) -> PropagatedMoments:
         """Linearise at the origin."""
         mean, slope, effect = self._linearise(function, cov, noise_std)
         cross = cov @ slope.T
-        image = slope @ cross
+        after = slope @ cross
         if noise_std is not None:
             spread = effect * noise_std[None]
-            image = image + spread @ spread.T
+            after = after + spread @ spread.T
 
         def posterior(
             gain: Float[Array, "n m"], noise: Float[Array, "m m"]
@@ -114,7 +116,7 @@ class Taylor(AbstractPropagation):
             reduced = cov - gain @ cross.T
             return reduced - (reduced @ slope.T - gain @ noise) @ gain.T
 
-        return Image(mean, mirrored(image), cross, posterior, _symmetric)
+        return PropagatedMoments(mean, mirrored(after), cross, posterior, _symmetric)
 
     def factors(
         self,
@@ -177,16 +179,16 @@ class SigmaPoints(AbstractPropagation):
         """As the rule."""
         return self.negative
 
-    def image(
+    def propagated(
         self,
         function: Function,
         cov: Float[Array, "n n"],
         noise_std: Float[Array, " w"] | None = None,
-    ) -> Image:
+    ) -> PropagatedMoments:
         """Push the points of the joint error and noise through the function."""
         rule, mean, errors, spread = self._push(function, square_root(cov), noise_std)
         weights = jnp.asarray(rule.cov_weights, cov.dtype)[:, None]
-        sound = _definite if rule.cov_weights.min() < 0 else _symmetric
+        semidefinite = _definite if rule.cov_weights.min() < 0 else _symmetric
 
         def posterior(
             gain: Float[Array, "n m"], noise: Float[Array, "m m"]
@@ -196,8 +198,10 @@ class SigmaPoints(AbstractPropagation):
             residuals = errors - spread @ gain.T
             return residuals.T @ (weights * residuals) + gain @ noise @ gain.T
 
-        image, repairs = sound(spread.T @ (weights * spread))
-        return Image(mean, image, errors.T @ (weights * spread), posterior, sound, repairs)
+        after, repairs = semidefinite(spread.T @ (weights * spread))
+        return PropagatedMoments(
+            mean, after, errors.T @ (weights * spread), posterior, semidefinite, repairs
+        )
 
     def factors(
         self,

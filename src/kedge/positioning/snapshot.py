@@ -37,7 +37,7 @@ class Recent(NamedTuple):
     age: Float[Array, " k"]  # s
 
 
-class Held(NamedTuple):
+class SnapshotBelief(NamedTuple):
     """What is believed, and the ranges that the next fix may use."""
 
     mean: Any
@@ -48,13 +48,13 @@ class Held(NamedTuple):
         """Mean and covariance."""
         return Gaussian(self.mean, self.cov)
 
-    def inflated(self, factor: Scalar) -> "Held":
+    def inflated(self, factor: Scalar) -> "SnapshotBelief":
         """The same mean, the covariance times ``factor`` but for augmented states."""
         return self._replace(cov=inflated_cov(self.mean, self.cov, factor))
 
 
 @filters.add("fix")
-class Snapshot(AbstractFilter[Held]):
+class Snapshot(AbstractFilter[SnapshotBelief]):
     """The position as the latest ranges alone have it: the baseline of every use of ranges.
 
     A reading with the ranges of a whole epoch is solved at once. Where each reading is one
@@ -96,22 +96,22 @@ class Snapshot(AbstractFilter[Held]):
             self.excess_mean, self.excess_std, self.excess_share,
         )  # fmt: skip
 
-    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Held:
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> SnapshotBelief:
         """The prior; no range was heard yet."""
         del key
         size = jnp.shape(getattr(prior.mean, "position", jnp.zeros(2)))[-1]
         none, ones = jnp.zeros(self.links), jnp.ones(self.links)
         links = Links(jnp.zeros((self.links, size)), none, ones, none, none)
-        return Held(prior.mean, prior.cov, Recent(links, LONG_AGO * ones))
+        return SnapshotBelief(prior.mean, prior.cov, Recent(links, LONG_AGO * ones))
 
     def predict(
         self,
         vehicle: AbstractVehicle,
-        belief: Held,
+        belief: SnapshotBelief,
         control: Any,
         dt: Scalar,
         key: PRNGKeyArray,
-    ) -> Held:
+    ) -> SnapshotBelief:
         """By the motion model, as dead reckoning does; ranges grow older."""
         del key
         states, noises = space(belief.mean), space(vehicle.noise_density())
@@ -121,17 +121,17 @@ class Snapshot(AbstractFilter[Held]):
             return vehicle.step(state, control, noises.unflatten(noise), dt)
 
         std = process_std(vehicle, dt).astype(belief.cov.dtype)
-        image = Taylor().image(step, belief.cov, std)
+        moments = Taylor().propagated(step, belief.cov, std)
         recent = belief.recent._replace(age=belief.recent.age + dt)
-        return Held(image.mean, image.cov, recent)
+        return SnapshotBelief(moments.mean, moments.cov, recent)
 
     def update(
         self,
         model: AbstractMeasurementModel,
-        belief: Held,
+        belief: SnapshotBelief,
         measurement: Any,
         key: PRNGKeyArray,
-    ) -> tuple[Held, Innovation]:
+    ) -> tuple[SnapshotBelief, Innovation]:
         """Solve for the position, and put it in the place of the prediction's."""
         del key
         score = _score(model, belief, measurement)
@@ -153,7 +153,7 @@ class Snapshot(AbstractFilter[Held]):
         place = space(belief.mean).slices()["position"]
         cov = belief.cov.at[place, :].set(0.0).at[:, place].set(0.0)
         cov = cov.at[place, place].set(symmetric(fix.cov))
-        posterior = Held(
+        posterior = SnapshotBelief(
             belief.mean._replace(position=jnp.where(solved, fix.position, near)),
             jnp.where(solved, cov, belief.cov),
             recent,
@@ -185,12 +185,14 @@ def _heard(recent: Recent, epoch: Links) -> Recent:
     return Recent(kept, recent.age.at[slot].set(0.0))
 
 
-def _score(model: AbstractMeasurementModel, belief: Held, measurement: Any) -> Innovation:
+def _score(
+    model: AbstractMeasurementModel, belief: SnapshotBelief, measurement: Any
+) -> Innovation:
     """How the reading fits the prediction."""
     states = space(belief.mean)
-    image = Taylor().image(
+    moments = Taylor().propagated(
         lambda error: model.expect(states.boxplus(belief.mean, error)), belief.cov
     )
-    cov = symmetric(image.cov + model.noise_cov(belief.mean))
-    residual = space(image.mean).boxminus(measurement, image.mean)
+    cov = symmetric(moments.cov + model.noise_cov(belief.mean))
+    residual = space(moments.mean).boxminus(measurement, moments.mean)
     return innovation(residual, cov, cholesky(cov), model.dof())

@@ -62,11 +62,11 @@ class AbstractMomentPrediction(AbstractGaussianFilter):
         """Push the belief and the process noise through the vehicle's step."""
         step = motion(vehicle, belief.mean, control, dt)
         std = process_std(vehicle, dt).astype(belief.cov.dtype)
-        image = self.strategy().image(step, belief.cov, std)
-        after = belief._replace(mean=image.mean, cov=image.cov)
+        moments = self.strategy().propagated(step, belief.cov, std)
+        after = belief._replace(mean=moments.mean, cov=moments.cov)
         if isinstance(after, RepairedGaussian):
-            after = after._replace(repairs=after.repairs + image.repairs)
-        return after, image.cross
+            after = after._replace(repairs=after.repairs + moments.repairs)
+        return after, moments.cross
 
 
 class AbstractMomentFilter(AbstractMomentPrediction):
@@ -88,14 +88,14 @@ class AbstractMomentFilter(AbstractMomentPrediction):
     ) -> tuple[Any, Innovation]:
         """Condition on one measurement."""
         del key
-        image = self.strategy().image(expectation_of(model, belief.mean), belief.cov)
+        moments = self.strategy().propagated(expectation_of(model, belief.mean), belief.cov)
         noise_cov = jnp.asarray(model.noise_cov(belief.mean), belief.cov.dtype)
-        cov = mirrored(image.cov + noise_cov)
+        cov = mirrored(moments.cov + noise_cov)
         root = cholesky(cov)
-        K = gain(image.cross, root)
-        residual = space(image.mean).boxminus(measurement, image.mean).astype(cov.dtype)
-        after, lifted = image.sound(image.posterior(K, noise_cov))
-        repairs = image.repairs + lifted
+        K = gain(moments.cross, root)
+        residual = space(moments.mean).boxminus(measurement, moments.mean).astype(cov.dtype)
+        after, clipped = moments.semidefinite(moments.posterior(K, noise_cov))
+        repairs = moments.repairs + clipped
         mean, turn = moved(belief.mean, K @ residual)
         posterior = belief._replace(mean=mean, cov=turned(turn, after))
         if isinstance(belief, RepairedGaussian):

@@ -78,14 +78,14 @@ class AbstractRelinearised(AbstractMomentPrediction):
 
         point, root, cov, score = jnp.zeros_like(one[0]), one, one, None
         for _ in range(self.iterations):
-            image = seen(point, root)
-            A = gain(image.after @ image.before.T, root)
-            residuals = image.after - A @ image.before
+            factors = seen(point, root)
+            A = gain(factors.after @ factors.before.T, root)
+            residuals = factors.after - A @ factors.before
             R = symmetric(residuals @ residuals.T + noise_cov)
             S = symmetric(A @ A.T) + R
             S_root = cholesky(S)
             K = gain(A.T, S_root)
-            residual = outputs.boxminus(measurement, image.mean).astype(S.dtype)
+            residual = outputs.boxminus(measurement, factors.mean).astype(S.dtype)
             if score is None:
                 score = innovation(residual, S, S_root, model.dof())
             target = K @ (residual + A @ point)

@@ -85,10 +85,10 @@ class SquareRootKalman(AbstractGaussianFilter):
         """Triangularise the deviations after the step."""
         step = motion(vehicle, belief.mean, control, dt)
         std = process_std(vehicle, dt).astype(belief.root.dtype)
-        image = self._moments().strategy().factors(step, belief.root, std)
+        factors = self._moments().strategy().factors(step, belief.root, std)
         return (
-            SqrtGaussian(image.mean, triangularise(image.after)),
-            image.before @ image.after.T,
+            SqrtGaussian(factors.mean, triangularise(factors.after)),
+            factors.before @ factors.after.T,
         )
 
     def update(
@@ -101,12 +101,14 @@ class SquareRootKalman(AbstractGaussianFilter):
         """Triangularise the joint deviations of measurement and state."""
         del key
         expect = expectation_of(model, belief.mean)
-        image = self._moments().strategy().factors(expect, belief.root)
-        residual = space(image.mean).boxminus(measurement, image.mean).astype(image.after.dtype)
+        factors = self._moments().strategy().factors(expect, belief.root)
+        residual = (
+            space(factors.mean).boxminus(measurement, factors.mean).astype(factors.after.dtype)
+        )
         size = residual.shape[0]
         noise = square_root(model.noise_cov(belief.mean).astype(belief.root.dtype))
         none = jnp.zeros((belief.root.shape[0], size), noise.dtype)
-        joint = triangularise(jnp.block([[image.after, noise], [image.before, none]]))
+        joint = triangularise(jnp.block([[factors.after, noise], [factors.before, none]]))
         S_root, scaled_gain = joint[:size, :size], joint[size:, :size]
         mean, turn = moved(belief.mean, scaled_gain @ solve_lower(S_root, residual))
         root = joint[size:, size:]

@@ -28,7 +28,7 @@ from kedge.core.quantities import Scalar
 from kedge.core.registry import filters, unknown
 from kedge.numerics.branching import whenever
 from kedge.numerics.innovation import innovation
-from kedge.numerics.kernels import bandwidth, shrunk, smeared
+from kedge.numerics.kernels import bandwidth, roughened, shrunk
 from kedge.numerics.linalg import cholesky, square_root, symmetric
 from kedge.numerics.noise import draws, process_std
 from kedge.numerics.random import normals
@@ -215,7 +215,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         width = self.regularisation * bandwidth(space(states).size, self.count)
         return lax.cond(
             resampled & (width > 0),
-            lambda: smeared(key, states, Particles(states, log_weights).moments(), width),
+            lambda: roughened(key, states, Particles(states, log_weights).moments(), width),
             lambda: states,
         )
 
@@ -232,7 +232,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         width = bandwidth(space(belief.states).size, self.count)
         drawn_in = shrunk(belief.states, cloud, width)
         many = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.oversampling, axis=0), drawn_in)
-        many = smeared(smear_key, many, cloud, width)
+        many = roughened(smear_key, many, cloud, width)
         shared = belief.log_weights - jnp.log(self.oversampling)
         log_weights = jnp.repeat(shared, self.oversampling)
         log_weights += look(model, many, measurement).log_likelihood

@@ -119,12 +119,12 @@ class GuidedParticle(AbstractParticleFilter):
                 return expected(mean + solve_lower_transposed(factor, error))
 
             unit = jnp.eye(std.shape[0], dtype=std.dtype)
-            image = PROPOSALS[self.proposal].image(around, unit)
+            moments = PROPOSALS[self.proposal].propagated(around, unit)
             noise_cov = model.noise_cov(step(before, mean * std))
             if self.proposal != "extended":
-                noise_cov = noise_cov + _left_over(image.cov, image.cross.T)
-            A = image.cross.T @ factor.T
-            residual = outputs.boxminus(measurement, image.mean)
+                noise_cov = noise_cov + _left_over(moments.cov, moments.cross.T)
+            A = moments.cross.T @ factor.T
+            residual = outputs.boxminus(measurement, moments.mean)
             root = cholesky(symmetric(noise_cov))
             B = solve_lower(root, A)
             scaled = solve_lower(root, residual + A @ mean)

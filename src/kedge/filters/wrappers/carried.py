@@ -23,7 +23,7 @@ from kedge.core.registry import unknown
 from kedge.filters.wrappers.wrapper import AbstractWrapper
 
 
-class Carrying(eqx.Module):
+class CarriedBelief(eqx.Module):
     """The inner filter's belief, and the fields that are carried along."""
 
     inner: Any
@@ -39,9 +39,9 @@ class Carrying(eqx.Module):
         whole = whole.at[np.ix_(places, places)].set(cov)
         return Gaussian(_joined(self.cls, mean, self.rest), whole)
 
-    def inflated(self, factor: Scalar) -> "Carrying":
+    def inflated(self, factor: Scalar) -> "CarriedBelief":
         """The inner belief widened."""
-        return Carrying(self.inner.inflated(factor), self.rest, self.cls)
+        return CarriedBelief(self.inner.inflated(factor), self.rest, self.cls)
 
 
 class Carried(AbstractWrapper):
@@ -61,7 +61,7 @@ class Carried(AbstractWrapper):
 
     fields: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Carrying:
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> CarriedBelief:
         """The prior of what is estimated, and the mean of what is not."""
         cls = type(prior.mean)
         for name in self.fields:
@@ -73,11 +73,11 @@ class Carried(AbstractWrapper):
         places = _places(cls, self.fields)
         part = Gaussian(_part(prior.mean, self.fields), prior.cov[np.ix_(places, places)])
         rest = {name: jnp.asarray(getattr(prior.mean, name)) for name in self.fields}
-        return Carrying(self.inner.init(part, key), rest, cls)
+        return CarriedBelief(self.inner.init(part, key), rest, cls)
 
     def predict(
         self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar, key: PRNGKeyArray
-    ) -> Carrying:
+    ) -> CarriedBelief:
         """Both: the rest from the mean before the step."""
         noises = space(vehicle.noise_density())
         calm = noises.unflatten(noises.zeros())
@@ -86,7 +86,7 @@ class Carried(AbstractWrapper):
         part = _PartOfVehicle(vehicle, belief.rest, belief.cls)
         inner = self.inner.predict(part, belief.inner, control, dt, key)
         rest = {name: jnp.asarray(getattr(after, name)) for name in belief.rest}
-        return Carrying(inner, rest, belief.cls)
+        return CarriedBelief(inner, rest, belief.cls)
 
     def update(
         self,
@@ -94,19 +94,19 @@ class Carried(AbstractWrapper):
         belief: Any,
         measurement: Any,
         key: PRNGKeyArray,
-    ) -> tuple[Carrying, Innovation]:
+    ) -> tuple[CarriedBelief, Innovation]:
         """The inner filter's."""
         part = _PartOfModel(model, belief.rest, belief.cls)
         inner, score = self.inner.update(part, belief.inner, measurement, key)
-        return Carrying(inner, belief.rest, belief.cls), score
+        return CarriedBelief(inner, belief.rest, belief.cls), score
 
     def unwrap(self, belief: Any) -> Any:
         """The inner belief."""
         return belief.inner
 
-    def reset(self, belief: Carrying, factor: Scalar) -> Carrying:
+    def reset(self, belief: CarriedBelief, factor: Scalar) -> CarriedBelief:
         """The inner filter's; what is carried along stays."""
-        return Carrying(self.inner.reset(belief.inner, factor), belief.rest, belief.cls)
+        return CarriedBelief(self.inner.reset(belief.inner, factor), belief.rest, belief.cls)
 
 
 def carrying(inner: AbstractFilter, fields: Sequence[str]) -> AbstractFilter:

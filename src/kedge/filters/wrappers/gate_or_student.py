@@ -27,7 +27,7 @@ from kedge.filters.wrappers.wrapper import (
 from kedge.numerics.losses import Loss
 
 
-class Counted(NamedTuple):
+class GateBelief(NamedTuple):
     """The inner filter's belief, and how many readings of late a gate would have refused."""
 
     belief: Any
@@ -38,7 +38,7 @@ class Counted(NamedTuple):
         """The inner belief's."""
         return self.belief.moments()
 
-    def inflated(self, factor: Scalar) -> "Counted":
+    def inflated(self, factor: Scalar) -> "GateBelief":
         """The inner belief widened."""
         return self._replace(belief=self.belief.inflated(factor))
 
@@ -94,31 +94,31 @@ class GateOrStudent(AbstractOutlierTest):
         """The inner filter's, which leaves the counts as they are."""
         return _Counting(self.inner.trusting())
 
-    def init(self, prior: Gaussian, key: PRNGKeyArray) -> Counted:
+    def init(self, prior: Gaussian, key: PRNGKeyArray) -> GateBelief:
         """The inner filter's belief; nothing was refused yet."""
         none = jnp.asarray(0.0)
-        return Counted(self.inner.init(prior, key), none, none)
+        return GateBelief(self.inner.init(prior, key), none, none)
 
     def predict(
         self,
         vehicle: AbstractVehicle,
-        belief: Counted,
+        belief: GateBelief,
         control: Any,
         dt: Scalar,
         key: PRNGKeyArray,
-    ) -> Counted:
+    ) -> GateBelief:
         """The inner filter's prediction; what was refused is forgotten by and by."""
         predicted = self.inner.predict(vehicle, belief.belief, control, dt, key)
         kept = jnp.exp(-dt / self.window)
-        return Counted(predicted, belief.refused * kept, belief.all * kept)
+        return GateBelief(predicted, belief.refused * kept, belief.all * kept)
 
     def update(
         self,
         model: AbstractMeasurementModel,
-        belief: Counted,
+        belief: GateBelief,
         measurement: Any,
         key: PRNGKeyArray,
-    ) -> tuple[Counted, Innovation]:
+    ) -> tuple[GateBelief, Innovation]:
         """The inner filter's update, or none, or one with the noise that the residual asks."""
         _, score = self.inner.update(model, belief.belief, measurement, key)
         bound = bound_of(score, self.false_alarm)
@@ -133,7 +133,7 @@ class GateOrStudent(AbstractOutlierTest):
             lambda old, new: jnp.where(refused, old, new), belief.belief, posterior
         )
         outliers = belief.refused + jnp.where(outside, 1.0, 0.0)
-        counted = Counted(kept, outliers, belief.all + 1.0)
+        counted = GateBelief(kept, outliers, belief.all + 1.0)
         accepted = jnp.asarray(score.accepted) & ~refused
         outlying = score.outlying | outside
         return counted, score._replace(
