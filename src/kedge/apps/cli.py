@@ -63,6 +63,32 @@ def list_(
 
 
 @app.command()
+def init(
+    log: Annotated[Path, typer.Argument(help="A bag, or a folder of CSV files.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder to write to, not the log's own."),
+    ] = None,
+) -> None:
+    """A first rig for a log, and log.toml for a folder of CSV files: to be read and edited."""
+    from kedge.apps.init import init as write_first
+
+    written, missing = write_first(log, out)
+    for path in written:
+        print(path)
+    if missing:
+        print(f"kedge: warning: the rig needs an edit first: {missing}", file=sys.stderr)
+
+
+@app.command()
+def show(rig: Rig) -> None:
+    """Print a rig as TOML, with all that it extends and leaves to defaults."""
+    from kedge.apps.init import show as resolved
+
+    print(resolved(rig), end="")
+
+
+@app.command()
 def estimate(
     rig: Rig,
     log: Source,

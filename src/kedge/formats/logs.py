@@ -6,7 +6,6 @@ with their units, and the frame: ``enu`` or ``ned``, see :mod:`kedge.formats.uni
 
 import csv
 import hashlib
-import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,7 +26,7 @@ from kedge.formats.tables import (
     read_cells,
     require_finite,
 )
-from kedge.formats.toml import Strict, read_toml
+from kedge.formats.toml import Strict, quoted, read_toml
 from kedge.formats.units import TIME_UNITS, UNITS, all_to_enu
 
 Frame = Literal["enu", "ned"]
@@ -182,22 +181,22 @@ def write_log(folder: Path, raw: RawLog) -> None:
     tables = {**raw.tables, **({raw.truth.name: raw.truth} if raw.truth else {})}
     if len(tables) == len(raw.tables) and raw.truth:
         raise DataError(f"{folder}: truth and a source are both called {raw.truth.name!r}")
-    lines = [f"title = {_quoted(raw.title)}", f"epoch = {_quoted(raw.epoch)}"]
-    lines += [f"truth = {_quoted(raw.truth.name)}"] if raw.truth else []
+    lines = [f"title = {quoted(raw.title)}", f"epoch = {quoted(raw.epoch)}"]
+    lines += [f"truth = {quoted(raw.truth.name)}"] if raw.truth else []
     with fresh_folder(folder) as draft:
         for name, table in tables.items():
             file = _file_name(folder, name)
-            body = [f"file = {_quoted(file)}", 'time = "time"', 'time_unit = "ns"']
-            body += [f"target = {_quoted(text)}" for text in table.texts]
+            body = [f"file = {quoted(file)}", 'time = "time"', 'time_unit = "ns"']
+            body += [f"target = {quoted(text)}" for text in table.texts]
             infinite = any(np.isinf(values).any() for values in table.columns.values())
             body += ['not_finite = "reject"'] if infinite else []
             body.append(f"columns = {_units(table.columns, table.units)}")
-            lines += ["", f"[sources.{_quoted(name)}]", *body]
+            lines += ["", f"[sources.{quoted(name)}]", *body]
             stamps = {"time": map(str, table.stamps.tolist())}
             _write_csv(draft / file, stamps | table.texts, table.columns)
         for name, targets in raw.maps.items():
             file = _file_name(folder, f"map_{name}")
-            lines += ["", f"[maps.{_quoted(name)}]", f"file = {_quoted(file)}", 'id = "id"']
+            lines += ["", f"[maps.{quoted(name)}]", f"file = {quoted(file)}", 'id = "id"']
             lines.append(f"columns = {_units(targets.columns, targets.units)}")
             _write_csv(draft / file, {"id": targets.ids}, targets.columns)
         (draft / "log.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -284,13 +283,8 @@ def _write_csv(
 
 
 def _units(columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> str:
-    pairs = (f"{_quoted(name)} = {_quoted(units.get(name, '1'))}" for name in columns)
+    pairs = (f"{quoted(name)} = {quoted(units.get(name, '1'))}" for name in columns)
     return "{ " + ", ".join(pairs) + " }"
-
-
-def _quoted(text: str) -> str:
-    # JSON's escapes are TOML's; its surrogate pairs are not, so other scripts stay as they are.
-    return json.dumps(text, ensure_ascii=False)
 
 
 def _file_name(folder: Path, name: str) -> str:

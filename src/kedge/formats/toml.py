@@ -1,5 +1,6 @@
 """TOML checked against a model: all mistakes in one message, each with file, line and key."""
 
+import json
 import re
 import tomllib
 import typing
@@ -38,6 +39,12 @@ def shortened(value: Any) -> str:
     """A value as Python writes it, as far as a message has room."""
     text = repr(value)
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+
+
+def quoted(text: str) -> str:
+    """A text as TOML writes it."""
+    # JSON's escapes are TOML's; its surrogate pairs are not, so other scripts stay as they are.
+    return json.dumps(text, ensure_ascii=False)
 
 
 class Strict(BaseModel):

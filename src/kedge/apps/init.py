@@ -1,0 +1,81 @@
+"""The work behind ``init`` and ``show``: a first rig for a log, and a rig as it is resolved."""
+
+from pathlib import Path
+
+from kedge.apps.first_rig import is_planar, rig_text
+from kedge.config.problem import load_problem
+from kedge.config.rigs import RigConfig, load_rig_config
+from kedge.core.errors import DataError, KedgeError
+from kedge.formats.atomic import replace_file
+from kedge.formats.bag_config import BagConfig
+from kedge.formats.logs import read_folder
+from kedge.formats.readers import read_log
+from kedge.formats.results import as_toml
+from kedge.formats.sketch_bag import bag_text, sketch_bag
+from kedge.formats.sketch_folder import log_text, sketch_folder
+from kedge.formats.toml import Strict, quoted, read_toml
+
+RIG, LOG = "rig.toml", "log.toml"
+
+
+class BagPart(Strict):
+    """The part of a rig file that is about a bag."""
+
+    format: str
+    bag: BagConfig
+
+
+def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
+    """Write a first rig for a bag or a folder of CSV files, and for a folder its ``log.toml``.
+
+    Returns:
+        What was written, and what is still missing for the rig to run on the log; "" if
+        nothing is.
+
+    Raises:
+        DataError: a file is there already, or nothing in the log can be made out.
+    """
+    if not log.exists():
+        raise DataError(f"{log}: no such file or folder")
+    bag = log.is_file() or (log / "metadata.yaml").exists()
+    out = out or (log.parent if log.is_file() else log)
+    names = [RIG] if bag or (log / LOG).exists() else [LOG, RIG]
+    for name in names:
+        if (out / name).exists():
+            raise DataError(f"{out / name}: is there already; remove it, or name another --out")
+    out.mkdir(parents=True, exist_ok=True)
+    title = f"title = {quoted(log.stem)}\n"
+    if bag:
+        topics, others = sketch_bag(log)
+        sets = {name: set(topic.columns) for name, topic in topics.items()}
+        preamble = title + bag_text(topics, others, is_planar(sets))
+        replace_file(out / RIG, preamble.encode())
+        try:
+            part = preamble.removeprefix(title)
+            replace_file(out / RIG, part.encode())
+            raw = read_log(str(log), "bag", read_toml(out / RIG, BagPart).bag)
+        finally:
+            (out / RIG).unlink()
+        source = str(log)
+    else:
+        if LOG in names:
+            replace_file(out / LOG, log_text(sketch_folder(log, out), log.name).encode())
+        try:
+            raw = read_folder(out if LOG in names else log)
+        except DataError:
+            if LOG in names:
+                (out / LOG).rename(out / f"{LOG}.draft")
+            raise
+        preamble, source = title, str(out if LOG in names else log)
+    replace_file(out / RIG, rig_text(raw, preamble).encode())
+    try:
+        load_problem(str(out / RIG), source)
+    except KedgeError as error:
+        return [out / name for name in names], str(error)
+    return [out / name for name in names], ""
+
+
+def show(rig: str) -> str:
+    """A rig with everything that it extends and all that it does not say, as TOML."""
+    config: RigConfig = load_rig_config(rig)
+    return as_toml(config.model_dump(mode="json", exclude_none=True))

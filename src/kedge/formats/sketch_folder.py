@@ -1,0 +1,158 @@
+"""A ``log.toml`` for CSV files that nobody declared yet: what each column seems to be."""
+
+import os
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from kedge.core.errors import DataError
+from kedge.formats.guesses import TARGET, TIME, Guess, guess, plain, time_unit, weighed
+from kedge.formats.tables import Cells, build_table, check_order, read_cells
+from kedge.formats.toml import quoted
+
+ENDINGS = (".csv", ".csv.gz", ".tsv", ".txt", ".txt.gz")
+TRUTH = re.compile(
+    r"(^|_)(gt|truth|ground_?truth|reference|ref|mocap|vicon|trajectory|rtk)($|_)"
+)
+SAMPLE = 2000
+"""Rows that a guess is made from."""
+
+
+class SketchedSource(NamedTuple):
+    """One file, as it seems to be."""
+
+    name: str
+    file: str
+    time: str
+    time_unit: str
+    target: str | None
+    columns: dict[str, Guess]
+    unknown: tuple[str, ...]
+    places: dict[str, dict[str, float]]
+    """Where each target is, if the readings tell it."""
+
+
+class SketchedLog(NamedTuple):
+    """A folder's files."""
+
+    sources: dict[str, SketchedSource]
+    skipped: dict[str, str]
+    """File -> why it was left out."""
+    truth: str | None
+
+
+def sketch_folder(folder: Path, out: Path) -> SketchedLog:
+    """Guess at every file with columns in a folder, named as seen from ``out``.
+
+    Raises:
+        DataError: there is no file that can be a source.
+    """
+    sources: dict[str, SketchedSource] = {}
+    skipped: dict[str, str] = {}
+    for path in sorted(folder.iterdir()):
+        if not path.is_file() or not path.name.endswith(ENDINGS):
+            continue
+        try:
+            source = _sketched(path, os.path.relpath(path.absolute(), out.absolute()))
+        except DataError as error:
+            skipped[path.name] = str(error).removeprefix(f"{path}").lstrip(": ")
+        else:
+            sources[source.name] = source
+    if not sources:
+        why = "".join(f"\n{name}: {reason}" for name, reason in skipped.items())
+        raise DataError(f"{folder}: found no table with a header and a column of times{why}")
+    truth = next((name for name in sources if TRUTH.search(plain(name))), None)
+    return SketchedLog(sources, skipped, truth)
+
+
+def _sketched(path: Path, file: str) -> SketchedSource:
+    cells = read_cells(path)
+    numbers = {column: _numbers(cells, column) for column in cells.columns}
+    times = [c for c, v in numbers.items() if v is not None and TIME.match(plain(c))]
+    if not times:
+        raise DataError(f"{path}: found no column of times; there are {', '.join(numbers)}")
+    targets = [c for c in numbers if TARGET.match(plain(c))]
+    guesses: dict[str, tuple[str, Guess]] = {}
+    unknown = []
+    for column, values in numbers.items():
+        found = None
+        if column not in times and column not in targets and values is not None:
+            found = guess(column, values)
+        # Of two columns that mean the same, the one with the shorter name is what is meant.
+        if found and len(column) < len(guesses.get(found.name, (column + "+",))[0]):
+            guesses[found.name] = column, found
+    columns = dict(guesses.values())
+    columns = weighed(columns, {c: v for c in columns if (v := numbers[c]) is not None})
+    unknown = [c for c in numbers if c not in columns and c not in (times[0], *targets[-1:])]
+    measured = {found.name for found in columns.values()}
+    target = targets[-1] if targets and measured & {"range", "bearing"} else None
+    places = _places(cells, target, columns) if target and "range" in measured else {}
+    if places:  # the places of the targets, not of the vehicle
+        columns = {c: g for c, g in columns.items() if not g.name.startswith("position_")}
+    stem = re.sub(r"\W+", "_", re.sub(r"\.(csv|tsv|txt)(\.gz)?$", "", path.name)).strip("_")
+    first = numbers[times[0]]
+    unit = time_unit(times[0], np.zeros(1) if first is None else first)
+    specs = {column: (found.name, found.unit) for column, found in columns.items()}
+    check_order(build_table(cells, stem, times[0], unit, specs, target), times[0])
+    return SketchedSource(
+        stem,
+        file.removesuffix(".gz"),
+        times[0],
+        unit,
+        target,
+        columns,
+        tuple(unknown),
+        places,
+    )
+
+
+def _numbers(cells: Cells, column: str) -> Float[np.ndarray, " n"] | None:
+    try:
+        text = cells.columns[column][:SAMPLE]
+        return np.array([float(cell or "nan") for cell in text])
+    except ValueError:
+        return None
+
+
+def _places(
+    cells: Cells, target: str, columns: dict[str, Guess]
+) -> dict[str, dict[str, float]]:
+    """The place of each target, if every row of it tells the same; else nothing."""
+    axes = {g.name: cells.numbers(c) for c, g in columns.items() if g.name[:9] == "position_"}
+    places: dict[str, dict[str, float]] = {}
+    for at, name in enumerate(cells.text(target)):
+        place = {axis: float(values[at]) for axis, values in axes.items()}
+        if not place or places.setdefault(name, place) != place:
+            return {}
+    return places
+
+
+def log_text(log: SketchedLog, title: str) -> str:
+    """The sketch as ``log.toml``."""
+    lines = [f"title = {quoted(title)}"]
+    if log.truth:
+        lines.append(f"truth = {quoted(log.truth)}  # by its name")
+    for source in log.sources.values():
+        lines += ["", f"[sources.{source.name}]", f"file = {quoted(source.file)}"]
+        lines += [f"time = {quoted(source.time)}"]
+        lines += [f'time_unit = "{source.time_unit}"  # by how large the numbers are']
+        lines += [f"target = {quoted(source.target)}"] if source.target else []
+        lines += ["", f"[sources.{source.name}.columns]"] if source.columns else []
+        for column, found in source.columns.items():
+            what = f'{{ unit = "{found.unit}", name = "{found.name}" }}'
+            lines.append(f"{quoted(column)} = {what}  # {found.why}")
+        if source.unknown:
+            lines.append(f"# not used: {', '.join(source.unknown)}")
+    places = {k: v for s in log.sources.values() for k, v in s.places.items()}
+    if places:
+        axes = list(next(iter(places.values())))
+        ids = ", ".join(map(quoted, places))
+        units = ", ".join(f'{axis} = "m"' for axis in axes)
+        lines += ["", "[maps.targets]  # as the readings tell", f"ids = [{ids}]"]
+        lines += [f"columns = {{ {units} }}", "", "[maps.targets.values]"]
+        lines += [f"{a} = [{', '.join(repr(p[a]) for p in places.values())}]" for a in axes]
+    lines += [f"# {name} was left out: {why}" for name, why in log.skipped.items()]
+    return "\n".join(line.replace("\n", " ") for line in lines) + "\n"

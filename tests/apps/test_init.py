@@ -1,0 +1,120 @@
+"""``kedge init``: a rig that runs, from files that nobody declared; ``kedge show``."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from kedge.apps.first_rig import is_planar
+from kedge.apps.init import init, show
+from kedge.config.problem import load_problem
+from kedge.config.rigs import load_rig_config
+from kedge.core.errors import DataError
+
+TIME = np.arange(0, 20, 0.1)
+TURN = 0.3 * np.sin(0.4 * TIME)
+HEADING = np.cumsum(TURN) * 0.1 + 1.5
+X, Y = (np.cumsum(f(HEADING)) * 0.1 for f in (np.cos, np.sin))
+
+
+def write(folder, name, **columns):
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(folder / name, rows, "%.6f", ",", header=",".join(columns), comments="")
+
+
+@pytest.fixture
+def log(tmp_path):
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    stamps = np.round(1e3 * (TIME + 1.7e9))
+    write(
+        folder, "wheels.csv", stamp=stamps, v=1 + 0 * X, yaw_rate=400 * np.degrees(TURN) / 400
+    )
+    write(folder, "gps.csv", time=stamps, east=X, north=Y, hdop=0 * X)
+    write(folder, "imu.csv", timestamp=stamps, yaw=np.degrees(HEADING))
+    write(folder, "ground_truth.csv", time=stamps, x=X, y=Y, theta=HEADING)
+    (folder / "notes.txt").write_text("what was done that day\nnothing\n")
+    return folder
+
+
+def test_a_folder_gets_a_log_and_a_rig_that_run(log):
+    written, missing = init(log, None)
+    assert [path.name for path in written] == ["log.toml", "rig.toml"]
+    assert missing == ""
+    problem = load_problem(str(log / "rig.toml"), str(log))
+    assert set(problem.rig.names) == {"gps", "imu"}
+    said = tomllib.loads((log / "log.toml").read_text())
+    assert said["truth"] == "ground_truth"
+    assert said["sources"]["imu"]["columns"]["yaw"] == {"unit": "deg", "name": "heading"}
+    assert said["sources"]["wheels"]["time_unit"] == "ms"
+    assert "hdop" in (log / "log.toml").read_text()
+    assert "notes.txt was left out" in (log / "log.toml").read_text()
+    end = np.asarray(problem.truth.fields["position"])[-1]
+    np.testing.assert_allclose(end, [X[-1], Y[-1]], atol=1e-3)
+
+
+def test_what_is_there_is_not_written_over(log):
+    init(log, None)
+    before = (log / "rig.toml").read_bytes()
+    with pytest.raises(DataError, match="is there already"):
+        init(log, None)
+    assert (log / "rig.toml").read_bytes() == before
+
+
+def test_a_folder_of_which_nothing_is_understood(tmp_path):
+    (tmp_path / "a.csv").write_text("colour,taste\nred,sweet\n")
+    with pytest.raises(DataError, match=r"a\.csv: found no column of times; there are colour"):
+        init(tmp_path, None)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_a_bag_gets_a_rig_that_runs(tmp_path):
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        topics = {
+            name: writer.register_channel(f"/{name}", "json", schema)
+            for name in ("odom", "amcl_pose", "chatter")
+        }
+        for at, rate, psi, x, y in zip(TIME, TURN, HEADING, X, Y, strict=True):
+            time = round((at + 1.7e9) * 1e9)
+            stamp = {"sec": time // 10**9, "nanosec": time % 10**9}
+            turn = {"x": 0.0, "y": 0.0, "z": np.sin(psi / 2), "w": np.cos(psi / 2)}
+            twist = {"linear": {"x": 1.0}, "angular": {"z": rate}}
+            here = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+            covariance = np.diag([0.01, 0.01, 1.0, 1.0, 1.0, 0.02]).ravel().tolist()
+            for name, content in {
+                "odom": {"pose": {"pose": here}, "twist": {"twist": twist}},
+                "amcl_pose": {"pose": {"pose": here, "covariance": covariance}},
+                "chatter": {"data": "hello"},
+            }.items():
+                data = json.dumps({"header": {"stamp": stamp}, **content}).encode()
+                writer.add_message(topics[name], log_time=time, publish_time=time, data=data)
+        writer.finish()
+    written, missing = init(path, tmp_path / "mine")
+    assert [p.name for p in written] == ["rig.toml"]
+    assert missing == ""
+    config = load_rig_config(str(written[0]))
+    assert config.vehicle.model == "unicycle"
+    assert set(config.bag.topics["odom"].columns) == {"speed", "yaw_rate"}
+    amcl = config.sensors["amcl_pose"]
+    assert (amcl.model, amcl.covariance) == ("pose", ["xx", "xy", "xh", "yy", "yh", "hh"])
+    assert "/chatter" in written[0].read_text()
+
+
+def test_who_drives_in_the_plane():
+    assert is_planar({"wheels": {"left", "right"}})
+    assert not is_planar({"tag": {"range"}})
+
+
+def test_a_rig_is_shown_whole_and_can_be_read_back(tmp_path):
+    (tmp_path / "rig.toml").write_text('extends = "mrclam"\noutput.rate = 3.0\n')
+    shown = show(str(tmp_path / "rig.toml"))
+    (tmp_path / "shown.toml").write_text(shown)
+    again = load_rig_config(str(tmp_path / "shown.toml"))
+    assert again.output.rate == 3.0
+    assert again == load_rig_config(str(tmp_path / "rig.toml"))
