@@ -18,6 +18,7 @@ from kedge.apps.console import (
 from kedge.apps.failures import run
 from kedge.apps.options import (
     LARGEST_SEED,
+    FirstOut,
     Force,
     Json,
     Out,
@@ -30,6 +31,7 @@ from kedge.apps.options import (
     SetScenario,
     Source,
     Truth,
+    Undeclared,
     Until,
 )
 
@@ -63,13 +65,7 @@ def list_(
 
 
 @app.command()
-def init(
-    log: Annotated[Path, typer.Argument(help="A bag, or a folder of CSV files.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder to write to, not the log's own."),
-    ] = None,
-) -> None:
+def init(log: Undeclared, out: FirstOut = None) -> None:
     """A first rig for a log, and log.toml for a folder of CSV files: to be read and edited."""
     from kedge.apps.init import init as write_first
 

@@ -12,6 +12,12 @@ Source = Annotated[
         metavar="LOG", help="A log folder or a data set; PATH#PART picks a vehicle in it."
     ),
 ]
+Undeclared = Annotated[
+    Path, typer.Argument(metavar="LOG", help="A bag, or a folder of CSV files.")
+]
+FirstOut = Annotated[
+    Path | None, typer.Option("--out", help="Folder to write to, not the log's own.")
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary to standard output.")]
 Truth = Annotated[str, typer.Option(help="'auto': score if the log has truth; or 'none'.")]
