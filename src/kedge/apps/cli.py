@@ -73,7 +73,7 @@ def init(log: Undeclared, out: FirstOut = None) -> None:
     for path in written:
         print(path)
     if missing:
-        print(f"kedge: warning: the rig needs an edit first: {missing}", file=sys.stderr)
+        typer.echo(f"kedge: warning: the rig needs an edit first: {missing}", err=True)
 
 
 @app.command()
