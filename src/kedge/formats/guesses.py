@@ -91,7 +91,7 @@ def guess(header: str, values: Float[np.ndarray, " n"] | None) -> Guess | None:
             continue
         if not template:
             return None
-        inside = template.format(match[match.lastindex]) if "{}" in template else template
+        inside = template.format(match.groups()[-1]) if "{}" in template else template
         return Guess(inside, *_unit(header, si, values))
     return None
 

@@ -10,11 +10,19 @@ from kedge.core.errors import ContractError, UnknownName
 from kedge.core.registry import readers, unknown
 from kedge.formats.bag_config import BagConfig
 from kedge.formats.bags import read_bag
+from kedge.formats.geodetic import OriginConfig, located
 from kedge.formats.logs import RawLog
 
 
-def read_log(log: str, format: str = "folder", bag: BagConfig | None = None) -> RawLog:
+def read_log(
+    log: str,
+    format: str = "folder",
+    bag: BagConfig | None = None,
+    origin: OriginConfig | None = None,
+) -> RawLog:
     """Read ``PATH`` or ``PATH#PART``; ``bag`` says what the topics of a bag are.
+
+    Latitudes and longitudes become metres from ``origin``; :mod:`kedge.formats.geodetic`.
 
     Raises:
         ContractError: the reader returns something else.
@@ -30,10 +38,10 @@ def read_log(log: str, format: str = "folder", bag: BagConfig | None = None) -> 
         path, part = log, ""
     reader = readers.get(format)
     if reader is read_bag:
-        return read_bag(Path(path), part or None, bag)
+        return located(read_bag(Path(path), part or None, bag), origin)
     raw = reader(Path(path), part or None)
     if not isinstance(raw, RawLog):
         raise ContractError(
             f"the reader {format!r} returns a {type(raw).__name__}; expected a RawLog"
         )
-    return raw
+    return located(raw, origin)
