@@ -97,7 +97,7 @@ def load_problem(
     """
     config = rig if isinstance(rig, RigConfig) else load_rig_config(rig, overrides)
     build_vehicle(config)  # what does not fit is said before a long file is read
-    raw = read_log(log, config.format, config.bag, config.origin)
+    raw = read_log(log, config.format, config.bag, config.map_origin)
     if config.standing is not None:
         raw = with_standing(config.standing, raw, config.origin)
     bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)

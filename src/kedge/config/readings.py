@@ -42,9 +42,12 @@ def find_columns(
             continue
         values[part] = table.column(column)
         if table.units[column] != unit:
+            degrees = table.units[column] == "rad" and part.startswith("position_")
             raise DataError(
                 f"{table.path}: column {column!r}: found unit {table.units[column]!r}, "
                 f"expected {unit!r} for {place}.{part}"
+                + "; call the columns latitude and longitude, and they become metres"
+                * degrees
             )
     return values
 

@@ -25,8 +25,8 @@ from kedge.core.errors import ConfigError, ContractError, KedgeError, UnknownNam
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
 from kedge.formats.bag_config import BagConfig
-from kedge.formats.geodetic import OriginConfig
 from kedge.formats.odometry import POSE, TWIST
+from kedge.formats.origin import OriginConfig
 from kedge.formats.toml import Strict, read_toml
 from kedge.numerics.losses import Kind, Side
 
@@ -249,7 +249,7 @@ class RigConfig(AbstractRigConfig):
     title: str = ""
     format: str = "folder"
     bag: BagConfig | None = None
-    origin: OriginConfig | None = None
+    map_origin: OriginConfig | None = None
     truth: TruthConfig = TruthConfig()
     control: ControlConfig | None = None
     standing: StandingConfig | None = None

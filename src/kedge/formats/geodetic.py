@@ -6,38 +6,19 @@ are left out: ``status`` below 0 (ROS), ``fix_quality`` 0 (NMEA), or the place 0
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool
-from pydantic import Field
 from pymap3d.enu import geodetic2enu
 
 from kedge.core.errors import DataError
 from kedge.formats.logs import RawLog
+from kedge.formats.origin import FIX, OriginConfig
 from kedge.formats.tables import Table
-from kedge.formats.toml import Strict
 from kedge.formats.units import DEGREE
 
-FIX = {"latitude", "longitude"}
-SAID = {"status", "fix_quality"}
-"""Columns that say whether a fix is one."""
 FAR = 100e3
 """m from the origin beyond which a user should hear of it."""
-
-
-class OriginConfig(Strict):
-    """Where the map's origin is: degrees north and east, and m over the ellipsoid."""
-
-    latitude: Annotated[float, Field(ge=-90, le=90)]
-    longitude: Annotated[float, Field(ge=-180, le=180)]
-    height: Annotated[float, Field(allow_inf_nan=False)] = 0.0
-
-    @property
-    def place(self) -> dict[str, float]:
-        """In rad and m."""
-        latitude, longitude = self.latitude * DEGREE, self.longitude * DEGREE
-        return {"latitude": latitude, "longitude": longitude, "height": self.height}
 
 
 def located(raw: RawLog, origin: OriginConfig | None = None) -> RawLog:

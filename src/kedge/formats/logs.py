@@ -17,6 +17,7 @@ from pydantic import model_validator
 
 from kedge.core.errors import DataError
 from kedge.core.registry import readers, unknown
+from kedge.formats.origin import OriginConfig, unit_errors, with_status
 from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
     NotFinite,
@@ -94,6 +95,7 @@ class SourceConfig(Strict):
         if self.time_unit not in TIME_UNITS:
             yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_UNITS))}"
         yield from _twice(self.columns)
+        yield from unit_errors({name: spec.unit for name, spec in self.columns.items()})
 
 
 class MapSource(Strict):
@@ -124,6 +126,8 @@ class LogConfig(Strict):
     epoch: str = ""
     frame: Frame = "enu"
     truth: str | None = None
+    origin: OriginConfig | Literal["first"] = "first"
+    """Of the map, for columns called latitude and longitude."""
     sources: dict[str, SourceConfig]
     maps: dict[str, MapSource] = {}
 
@@ -167,8 +171,9 @@ def read_folder(folder: Path, part: str | None = None) -> RawLog:
     truth = tables.pop(config.truth) if config.truth else None
     if truth is not None:
         require_finite(truth, truth.columns, "truth")
+    place = {} if config.origin == "first" else config.origin.place
     return RawLog(
-        config.title, tables, truth, maps, tuple(dict.fromkeys(files)), (), config.epoch
+        config.title, tables, truth, maps, tuple(dict.fromkeys(files)), (), config.epoch, place
     )
 
 
@@ -220,6 +225,7 @@ def _read_source(folder: Path, name: str, source: SourceConfig, frame: Frame) ->
         cells, name, source.time, source.time_unit, specs, source.target, source.not_finite
     )
     check_order(table, source.time)
+    table = with_status(table, cells)
     if frame == "ned":
         columns, units = all_to_enu(table.path, table.columns, table.units)
         table = table._replace(columns=columns, units=units)

@@ -10,8 +10,9 @@ from kedge.core.errors import ContractError, UnknownName
 from kedge.core.registry import readers, unknown
 from kedge.formats.bag_config import BagConfig
 from kedge.formats.bags import read_bag
-from kedge.formats.geodetic import OriginConfig, located
+from kedge.formats.geodetic import located
 from kedge.formats.logs import RawLog
+from kedge.formats.origin import OriginConfig
 
 
 def read_log(
