@@ -76,7 +76,10 @@ CASES = {
     "one-sided": ({"cov": off((0, 1), 0.1)}, "BAD_COVARIANCE"),
     "other-sided": ({"cov": off((1, 0), 0.1)}, "BAD_COVARIANCE"),
     "unknown variance": ({"cov": off((1, 1), np.nan)}, "BAD_COVARIANCE"),
-    "infinite variance": ({"cov": off((1, 1), np.inf)}, "BAD_COVARIANCE"),
+    # What drivers write for a component that is not there, and for what they do not know.
+    "infinite variance": ({"cov": off((1, 1), np.inf)}, "FUSED"),
+    "nothing known": ({"cov": np.zeros((2, 2))}, "FUSED"),
+    "not there": ({"cov": np.diag([-1.0, 0.0])}, "NOT_FINITE"),
     # The covariance of what is missing is nobody's business.
     "no range, no variance": ({"distance": np.nan, "cov": off((0, 0), np.nan)}, "FUSED"),
     "no range, half a covariance": (

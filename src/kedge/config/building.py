@@ -11,13 +11,14 @@ from kedge.config.models import Parameter, build_model
 from kedge.config.plugin_checks import check_sensor_plugins, check_vehicle_plugin
 from kedge.config.plugins import place_of
 from kedge.config.readings import join, map_of
-from kedge.config.rigs import AbstractRigConfig
+from kedge.config.rigs import AbstractRigConfig, RigConfig
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import charts_of, component_names, space_of
 from kedge.core.registry import sensors, unknown, vehicles
-from kedge.estimation.rig import Installation, Mount, Rig, check_reads
+from kedge.estimation.rig import Installation, Mount, Origin, Rig, check_reads
+from kedge.formats.attitudes import quaternions
 from kedge.formats.logs import TargetMap
 from kedge.numerics.losses import Loss
 from kedge.vehicles.augmented import Drift, augment
@@ -129,6 +130,10 @@ def build_prior(
     prior, mean = config.prior, vehicle.start()
     charts, given = charts_of(type(mean)), {}
     for field, values in prior.mean.items():
+        turned = charts[field].shape != charts[field].tangent_shape
+        if turned and len(values) == 3:  # roll, pitch, heading
+            given[field] = jnp.asarray(quaternions(*map(np.asarray, values)))
+            continue
         full = np.broadcast_to(values, charts[field].shape or (1,))
         given[field] = jnp.asarray(full.reshape(charts[field].shape))
     given |= {field: jnp.asarray(value) for field, value in known.items()}
@@ -145,24 +150,19 @@ def build_prior(
     return Gaussian(mean._replace(**given), jnp.asarray(cov))
 
 
-def check_noise(config: AbstractRigConfig, rig: Rig) -> None:
-    """Refuse noise that is no noise.
+def build_rig(
+    config: AbstractRigConfig,
+    vehicle: AbstractVehicle,
+    sensors: tuple[Installation, ...],
+    prior: Gaussian,
+) -> Rig:
+    """The rig of a file, which is named where vehicle, sensors and prior do not fit.
 
     Raises:
-        ContractError: a standard deviation is not above 0, or a density is below 0.
+        ContractError: they do not.
     """
-    for installation in rig.sensors:
-        sensor = installation.sensor.for_target(0)
-        std = sensor.noise_std(sensor.project(rig.prior.mean))
-        for field, value in std._asdict().items():
-            if not np.all(np.asarray(value) > 0):
-                raise ContractError(
-                    f"{config.origin}: sensors.{installation.name}: the noise of {field} has "
-                    f"the standard deviation {np.asarray(value).tolist()}, expected above 0"
-                )
-    for field, value in rig.vehicle.noise_density()._asdict().items():
-        if np.any(np.asarray(value) < 0):
-            raise ContractError(
-                f"{config.origin}: vehicle: the noise density of {field} is "
-                f"{np.asarray(value).tolist()}, expected 0 or more"
-            )
+    try:
+        origin = Origin(config) if isinstance(config, RigConfig) else Origin()
+        return Rig(vehicle, sensors, prior, origin)
+    except ContractError as error:
+        raise ContractError(f"{config.origin}: {error}") from error

@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float, Int, Int64
 from kedge.config.building import (
     build_installation,
     build_prior,
+    build_rig,
     build_sensor,
     build_vehicle,
-    check_noise,
 )
+from kedge.config.columns import find_columns
 from kedge.config.readings import (
-    find_columns,
     find_table,
     join,
     keep_targets,
@@ -33,7 +33,8 @@ from kedge.core.manifolds import Chart, charts_of, columns_of, space_of
 from kedge.core.registry import unknown, vehicles
 from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
-from kedge.estimation.rig import Origin, Rig, check_step
+from kedge.estimation.rig import Rig, check_step
+from kedge.formats.attitudes import require_rotations
 from kedge.formats.logs import RawLog, digest_inputs
 from kedge.formats.readers import read_log
 from kedge.formats.tables import Table, require_finite
@@ -200,9 +201,7 @@ def _rig_of(
 ) -> Rig:
     prior = build_prior(config, bare, vehicle, known)
     installed = tuple(build_installation(config, name, plain[name]) for name in plain)
-    built = Rig(vehicle, installed, prior, Origin(config))
-    check_noise(config, built)
-    return built
+    return build_rig(config, vehicle, installed, prior)
 
 
 def _placed(config: RigConfig, raw: RawLog) -> RigConfig:
@@ -320,7 +319,10 @@ def _field(table: Table, field: str, chart: Chart) -> Float[np.ndarray, "n ..."]
     unit = chart.unit if chart.shape == chart.tangent_shape else "1"
     columns = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
     require_finite(table, names, "truth")
-    return join(columns, names, (len(table.stamps), *chart.shape))
+    values = join(columns, names, (len(table.stamps), *chart.shape))
+    if chart.shape != chart.tangent_shape:
+        require_rotations(table.path, table.lines, values, f"truth: {field}")
+    return values
 
 
 def _span(first: int, last: int) -> str:

@@ -5,14 +5,17 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int64
+from jaxtyping import Float, Int64
 
-from kedge.config.rigs import AbstractRigConfig, RigConfig, SensorConfig
+from kedge.config.columns import find_columns
+from kedge.config.covariances import read_covariances
+from kedge.config.rigs import AbstractRigConfig, RigConfig
 from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import charts_of, columns_of, space_of
 from kedge.core.registry import sensors, unknown
 from kedge.estimation.log import SECOND, Readings, Stamped
+from kedge.formats.attitudes import no_rotation
 from kedge.formats.inertial import SLOPE, held, question, unit_of
 from kedge.formats.logs import RawLog, TargetMap
 from kedge.formats.odometry import POSE, counted, driven
@@ -28,36 +31,6 @@ def find_table(raw: RawLog, name: str, place: str) -> Table:
     if name not in raw.tables:
         raise DataError(f"{place}: {unknown('source', name, list(raw.tables))}")
     return raw.tables[name]
-
-
-def find_columns(
-    table: Table, wanted: dict[str, str], renamed: Mapping[str, str], place: str
-) -> dict[str, Float[np.ndarray, " n"]]:
-    """The columns of some components, after a look at their units."""
-    values = {}
-    for part, unit in wanted.items():
-        column = renamed.get(part, part)
-        if (constant := _number(column)) is not None and column not in table.columns:
-            values[part] = np.full(len(table.stamps), constant)
-            continue
-        values[part] = table.column(column)
-        if table.units[column] != unit:
-            degrees = table.units[column] == "rad" and part.startswith("position_")
-            raise DataError(
-                f"{table.path}: column {column!r}: found unit {table.units[column]!r}, "
-                f"expected {unit!r} for {place}.{part}"
-                + "; call the columns latitude and longitude, and they become metres"
-                * degrees
-            )
-    return values
-
-
-def _number(text: str) -> float | None:
-    """A column that is a number is one for all rows, in the component's own unit."""
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _fields(cls: Any, columns: Mapping[str, Float[np.ndarray, " n"]], rows: int) -> Any:
@@ -172,6 +145,18 @@ def read_readings(
                 f"line {line}; they are refused"
             )
             columns[part] = np.where(wrong, np.inf, columns[part])
+    for field, chart in charts_of(cls).items():
+        if chart.shape == chart.tangent_shape:
+            continue
+        parts = columns_of(field, chart)
+        wrong = no_rotation(np.stack([columns[part] for part in parts], axis=-1))
+        if wrong.any():
+            line = table.lines[np.argmax(wrong)]
+            notes.append(
+                f"{name}: {int(wrong.sum())} readings of {field} are no rotation (their length "
+                f"is not 1), the first in line {line}; they are refused"
+            )
+            columns |= {part: np.where(wrong, np.inf, columns[part]) for part in parts}
     target = np.zeros(len(table.stamps), np.int64)
     if spec.map is not None:
         index = {target: at for at, target in enumerate(map_of(config, name, raw.maps).ids)}
@@ -186,38 +171,6 @@ def read_readings(
     readings = Readings(
         _fields(cls, columns, len(table.stamps)),
         jnp.asarray(target),
-        _covariances(spec, name, table, cls, columns),
+        read_covariances(spec, name, table, cls, columns, notes),
     )
     return Stamped(table.stamps - round(spec.latency * SECOND), readings)
-
-
-def _covariances(
-    spec: SensorConfig,
-    name: str,
-    table: Table,
-    cls: Any,
-    measured: Mapping[str, Float[np.ndarray, " n"]],
-) -> Float[Array, "n m m"] | None:
-    """The covariances that came with the readings; unit noise where a component is missing."""
-    size, rows = space_of(cls).size, len(table.stamps)
-    cov = np.zeros((rows, size, size))
-    if spec.std:
-        wanted = space_of(cls).column_units
-        stds = find_columns(table, wanted, spec.std, f"sensors.{name}.std")
-        if len(stds) != size:
-            raise ConfigError(f"sensors.{name}.std: an attitude needs covariance instead")
-        for at, part in enumerate(wanted):
-            cov[:, at, at] = stds[part] ** 2
-            # Squaring would hide a negative deviation, which is as bad as a negative variance.
-            cov[stds[part] < 0, at, at] = -1.0
-    elif spec.covariance is not None:
-        above = zip(*np.triu_indices(size), strict=True)
-        for (row, column), source in zip(above, spec.covariance, strict=True):
-            cov[:, row, column] = cov[:, column, row] = table.column(source)
-    else:
-        return None
-    if len(measured) == size:
-        gone = np.isnan(np.stack(list(measured.values()), axis=-1))
-        either = gone[:, :, None] | gone[:, None, :]
-        cov = np.where(either, np.eye(size)[None], cov)
-    return jnp.asarray(cov)

@@ -21,6 +21,7 @@ from kedge.config.inheritance import completed
 from kedge.config.models import Parameter, build_model, model_errors
 from kedge.config.motion import ControlConfig, Finite, Positive, VehicleConfig
 from kedge.config.plugins import load_modules
+from kedge.config.prior_checks import attitude_errors, covariance_errors
 from kedge.core.errors import ConfigError, ContractError, KedgeError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.registry import sensors, unknown, vehicles
@@ -229,7 +230,9 @@ class AbstractRigConfig(Strict):
         for key, wanted in sizes.items():
             for name, values in getattr(prior, key).items():
                 size = wanted.get(name, len(values))
-                if len(values) not in (1, size):
+                if key == "mean" and name in charts and size > charts[name].size:
+                    yield from attitude_errors(f"prior.mean.{name}", values)
+                elif len(values) not in (1, size):
                     yield (
                         f"prior.{key}.{name}: found {len(values)} numbers, expected 1 or {size}"
                     )
@@ -240,7 +243,7 @@ class AbstractRigConfig(Strict):
             return
         if prior.std:
             yield "prior.covariance: found beside prior.std, expected one of the two"
-        yield from _covariance_errors(prior.covariance, sum(c.size for c in charts.values()))
+        yield from covariance_errors(prior.covariance, sum(c.size for c in charts.values()))
 
 
 class RigConfig(AbstractRigConfig):
@@ -274,20 +277,6 @@ class RigConfig(AbstractRigConfig):
         for name in self.control.columns if self.control else ():
             if name not in driven:
                 yield f"control.columns.{name}: {unknown('control component', name, driven)}"
-
-
-def _covariance_errors(rows: list[list[float]], size: int) -> Iterator[str]:
-    if [len(row) for row in rows] != [size] * size:
-        yield f"prior.covariance: expected {size} rows of {size} numbers"
-        return
-    cov = np.array(rows)
-    if not np.allclose(cov, cov.T, rtol=1e-9, atol=0):
-        yield "prior.covariance: not symmetric, expected a covariance"
-    elif (least := float(np.linalg.eigvalsh(cov)[0])) <= 0:
-        yield (
-            f"prior.covariance: not positive definite: found the eigenvalue {least:.6g}, "
-            "expected all above 0"
-        )
 
 
 def shipped(kind: str) -> list[str]:

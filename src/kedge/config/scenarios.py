@@ -9,9 +9,9 @@ from pydantic import Field
 from kedge.config.building import (
     build_installation,
     build_prior,
+    build_rig,
     build_sensor,
     build_vehicle,
-    check_noise,
 )
 from kedge.config.fault_config import FaultConfig, Span
 from kedge.config.filters import build_filter
@@ -29,7 +29,6 @@ from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ContractError, KedgeError
 from kedge.core.manifolds import space_of
 from kedge.core.registry import routes, sensors, unknown, vehicles, worlds
-from kedge.estimation.rig import Rig
 from kedge.filters.wrappers.carried import carrying
 from kedge.formats.toml import Strict
 from kedge.simulation.faults import CONTROL, validation_error
@@ -367,8 +366,7 @@ def build_setting(config: ScenarioConfig) -> Setting:
         )
         for name, spec in config.sensors.items()
     )
-    rig = Rig(vehicle, sensors, build_prior(config, bare, vehicle, {}))
-    check_noise(config, rig)
+    rig = build_rig(config, vehicle, sensors, build_prior(config, bare, vehicle, {}))
     about = config.scenario
     world = None if config.world is None else config.world.build()
     feedback, loop_filter = about.feedback, None

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from kedge.config.readings import find_columns, find_table
+from kedge.config.columns import find_columns
+from kedge.config.readings import find_table
 from kedge.config.rigs import StandingConfig
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import RawLog

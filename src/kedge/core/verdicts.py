@@ -28,6 +28,9 @@ class Verdict(enum.IntEnum):
     """It names a target that is not on the map."""
     DROPPED = 8
     """Left out on purpose: by the filter (dead reckoning) or by a policy."""
+    UNPREDICTED = 9
+    """The prediction to it was not finite, or had a negative variance: the belief before that
+    was kept, and the next prediction is over the whole time since."""
 
     NONE = -1
     """The event carried no reading."""

@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
 from kedge.estimation.log import SECOND
+from kedge.formats.cells import read_cells
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import Table, build_table, check_order, read_cells, require_finite
+from kedge.formats.tables import Table, build_table, check_order, require_finite
 from kedge.numerics.earth import Origin
 
 TIME = "Time [s]"

@@ -14,7 +14,8 @@ from jaxtyping import Float, Int64
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import Table, read_text
+from kedge.formats.tables import Table
+from kedge.formats.text import read_text
 from kedge.formats.tum import parse_tum
 
 UNITS = {f"angular_rate_{axis}": "rad/s" for axis in "xyz"} | {

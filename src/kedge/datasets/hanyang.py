@@ -13,8 +13,9 @@ import numpy as np
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
+from kedge.formats.cells import read_cells
 from kedge.formats.logs import RawLog, TargetMap
-from kedge.formats.tables import Table, build_table, in_order, read_cells, table_of
+from kedge.formats.tables import Table, build_table, in_order, table_of
 
 PLACE = {"position_x": "field.x", "position_y": "field.y", "position_z": "field.z"}
 

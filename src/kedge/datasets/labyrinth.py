@@ -20,8 +20,10 @@ from jaxtyping import Float
 
 from kedge.core.errors import DataError
 from kedge.core.registry import readers
+from kedge.formats.cells import Cells
 from kedge.formats.logs import RawLog, TargetMap
-from kedge.formats.tables import Cells, build_table, in_order, read_text
+from kedge.formats.tables import build_table, in_order
+from kedge.formats.text import read_text
 
 KINDS = {
     "range2": ("time", "range", "variance", "x", "y", "target", "snr"),

@@ -16,8 +16,10 @@ from jaxtyping import Float, Int64
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
+from kedge.formats.cells import Cells
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import Cells, Table, in_order, read_text, table_of
+from kedge.formats.tables import Table, in_order, table_of
+from kedge.formats.text import read_text
 
 TAGS = 3
 SURVEYED = 1 / 3

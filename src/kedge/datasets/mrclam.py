@@ -13,8 +13,9 @@ from pathlib import Path
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
+from kedge.formats.cells import Cells, read_cells
 from kedge.formats.logs import RawLog, TargetMap
-from kedge.formats.tables import Cells, build_table, in_order, read_cells
+from kedge.formats.tables import build_table, in_order
 
 SOURCES = {
     "odometry": ("Odometry", {"speed": "m/s", "yaw_rate": "rad/s"}),

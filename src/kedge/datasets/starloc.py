@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 from kedge.core.errors import DataError
 from kedge.core.registry import readers
 from kedge.estimation.log import SECOND
+from kedge.formats.cells import Cells, read_cells
 from kedge.formats.logs import RawLog, TargetMap
-from kedge.formats.tables import Cells, Table, build_table, in_order, read_cells, table_of
+from kedge.formats.tables import Table, build_table, in_order, table_of
 
 PLACE = ("x", "y", "z")
 QUATERNION = ("w", "rot_x", "rot_y", "rot_z")

@@ -11,9 +11,10 @@ import numpy as np
 
 from kedge.core.errors import DataError, UnknownName
 from kedge.core.registry import readers, unknown
+from kedge.formats.cells import Cells, read_cells
 from kedge.formats.logs import RawLog
 from kedge.formats.matlab import read_matrix
-from kedge.formats.tables import Cells, Table, read_cells
+from kedge.formats.tables import Table
 
 STEM = "output_range_uwb_"
 ANCHORS = ("0", "1", "2", "3")

@@ -102,7 +102,8 @@ def assemble(
     in the order control, sensors as installed, output.
 
     Raises:
-        DataError: nothing happens between ``start`` and ``end``.
+        DataError: nothing happens between ``start`` and ``end``, or floats cannot tell its
+            times apart.
     """
     if end <= start:
         raise DataError(f"empty log: it ends at {end} ns and starts at {start} ns")
@@ -123,6 +124,7 @@ def assemble(
         raise DataError("empty log: no control, reading or output time lies inside it")
     stamps, sensor, row = stamps[order], sensor[order], row[order]
 
+    _check_resolution(stamps - start)
     before = np.concatenate([[start], stamps[:-1]])
     held = np.searchsorted(control_stamps, before, side="right") - 1
     at_events = jax.tree.map(lambda leaf: jnp.asarray(leaf[np.maximum(held, 0)]), controls)
@@ -135,6 +137,24 @@ def assemble(
     return Recording(
         Log(schedule, at_events, readings), start, stamps, np.flatnonzero(sensor == -2)
     )
+
+
+def _check_resolution(since_start: Int[np.ndarray, " T"]) -> None:
+    """Refuse times that the floats in use would round to other steps.
+
+    Raises:
+        DataError: the last time is rounded by more than a hundredth of the usual step.
+    """
+    steps = np.diff(since_start)
+    if not (steps > 0).any():
+        return
+    step, last = float(np.median(steps[steps > 0])) / SECOND, since_start[-1] / SECOND
+    rounding = float(np.spacing(np.asarray(last, jnp.zeros(()).dtype)))
+    if rounding > 0.01 * step:
+        raise DataError(
+            f"the log lasts {last:g} s, where 32-bit floats resolve {rounding:.2g} s, but its "
+            f"steps are {step:.2g} s: use 64 bits (JAX_ENABLE_X64=1) or a shorter part (until)"
+        )
 
 
 def events_of(log: Log | Recording) -> Log:

@@ -12,6 +12,11 @@ from kedge.estimation.log import Readings
 from kedge.estimation.rig import Installation
 from kedge.numerics.linalg import cholesky, symmetric
 
+NO_READING = -1.0
+"""First variance of a reading that is not there."""
+NO_COMPONENT = 1e9
+"""Variance from which on a component is not there."""
+
 
 class BoundMeasurement(AbstractMeasurementModel):
     """The measurement model of one reading.
@@ -42,11 +47,16 @@ class BoundMeasurement(AbstractMeasurementModel):
         )
 
     def noise_cov(self, state: Any) -> Float[Array, "m m"]:
-        """The reading's own covariance or the sensor's, without what is missing."""
-        if self.cov is None:
-            cov = self.installation.noise_cov(state, self.target)
-        else:
-            cov = symmetric(self.cov)
+        """The reading's own covariance or the sensor's, without what is missing.
+
+        A component without variance and covariances has the sensor's: nobody knew it.
+        """
+        cov = self.installation.noise_cov(state, self.target)
+        if self.cov is not None:
+            # Exactly 0: a NaN is no convention, and stays one.
+            known = (self.cov != 0).any(axis=0) | (self.cov != 0).any(axis=1)
+            neither = ~known[:, None] & ~known[None, :]
+            cov = jnp.where(neither, cov, symmetric(self.cov))
         both = self.present[:, None] & self.present[None, :]
         return jnp.where(both, cov, jnp.eye(cov.shape[0]))
 
@@ -85,6 +95,7 @@ class BoundMeasurement(AbstractMeasurementModel):
 def bind_reading(installation: Installation, reading: Readings) -> tuple[BoundMeasurement, Any]:
     """Bind one reading to its sensor; return the model and the completed measurement."""
     outputs = space_of(installation.sensor.measures)
+    reading = without_absent(reading)
     measurement, present = outputs.complete(reading.measurement)
     missing = type(measurement)(
         *(
@@ -96,6 +107,28 @@ def bind_reading(installation: Installation, reading: Readings) -> tuple[BoundMe
     )
     target = jnp.maximum(reading.target, 0)
     return BoundMeasurement(installation, target, present, missing, reading.cov), measurement
+
+
+def without_absent(reading: Readings) -> Readings:
+    """The reading without the components that its covariance says are not there.
+
+    By the conventions of ROS messages: -1 as the first variance says that of all; drivers write
+    1e9 or the largest number there is as the variance of a single one.
+
+    Source: Open Robotics, "sensor_msgs/Imu" of common_interfaces, comments of the definition.
+    """
+    if reading.cov is None:
+        return reading
+    variance = jnp.diag(reading.cov)
+    absent = (variance >= NO_COMPONENT) | (variance[:1] == NO_READING)
+    leaves, start = [], 0
+    for chart, leaf in zip(space(reading.measurement).charts, reading.measurement, strict=True):
+        part = absent[start : start + chart.size]
+        start += chart.size
+        one_each = chart.shape == chart.tangent_shape
+        gone = part.reshape(chart.shape) if one_each else part.any()
+        leaves.append(jnp.where(gone, jnp.nan, leaf))
+    return reading._replace(measurement=type(reading.measurement)(*leaves))
 
 
 def is_positive_definite(cov: Float[Array, "m m"]) -> Bool[Array, ""]:

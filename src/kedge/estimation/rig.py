@@ -12,9 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle, Ranging
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import Chart, charts_of, space_of
+from kedge.core.manifolds import Chart, charts_of
 from kedge.estimation.mount import Mount as Mount
 from kedge.estimation.mount import seen_from, validation_error
+from kedge.estimation.rig_checks import check_noise, check_prior
 from kedge.filters.wrappers.gated import Gated
 from kedge.filters.wrappers.robust import Robust
 from kedge.filters.wrappers.wrapper import RECOVERY
@@ -126,7 +127,7 @@ class Rig(eqx.Module):
 
     Raises:
         ContractError: a sensor reads a field that the vehicle's state has not, two sensors
-            share a name, or the prior does not fit the state.
+            share a name, the prior does not fit the state or is no belief, noise is no noise.
     """
 
     vehicle: AbstractVehicle
@@ -143,17 +144,8 @@ class Rig(eqx.Module):
         state = type(self.vehicle.start())
         for installation in self.sensors:
             check_reads(installation, state, type(self.vehicle).__name__)
-        if type(self.prior.mean) is not state:
-            raise ContractError(
-                f"the prior's mean is a {type(self.prior.mean).__qualname__}, but the state of "
-                f"{type(self.vehicle).__name__} is a {state.__qualname__}"
-            )
-        size = space_of(state).size
-        if jnp.shape(self.prior.cov) != (size, size):
-            raise ContractError(
-                f"the prior's covariance has shape {jnp.shape(self.prior.cov)}, but the state "
-                f"{space_of(state).labels} needs {(size, size)}"
-            )
+        check_prior(self.prior, self.vehicle)
+        check_noise(self.sensors, self.vehicle, self.prior.mean)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.reading import bind_reading, is_positive_definite
 from kedge.estimation.recovery import Clocks, new_clocks, recover
 from kedge.estimation.rig import Installation, Rig, as_arrays
-from kedge.estimation.transition import predict_with_record
+from kedge.estimation.transition import predict_with_record, still
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.random import fold_in
 
@@ -37,6 +37,8 @@ class FilterState(NamedTuple):
     """How many there were, and"""
     readings: Int[Array, ""] | int = 0
     """how many readings: the next keys follow from them."""
+    behind: Float[Array, ""] | float = 0.0
+    """s by which the belief is older than the newest event, since it could not be predicted."""
 
 
 class Outcome(NamedTuple):
@@ -70,7 +72,7 @@ def begin(
     belief = filter.init(rig.prior, jr.fold_in(key, 0))
     belief = with_room(filter, rig.vehicle, belief)
     clocks, none = new_clocks(filter, rig.sensors), jnp.zeros((), int)
-    return FilterState(belief, clocks, jnp.asarray(time, float), none, none)
+    return FilterState(belief, clocks, jnp.asarray(time, float), none, none, jnp.zeros(()))
 
 
 def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) -> B:
@@ -127,14 +129,45 @@ def predict_to(
     """The state at ``time``; with ``record`` also what a smoother needs of the prediction.
 
     An event that is older than the state changes nothing. ``dt`` is the time that passes in s,
-    for drivers that know it better than as a difference.
+    for drivers that know it better than as a difference. A prediction that is no belief (not
+    finite, or of a negative variance) is not taken: the belief stays as it was, and the next
+    prediction is over the whole time since, as far as the vehicle's step stays stable.
     """
     number = state.predictions + jnp.where(time > state.time, 1, 0)
     dt = time - state.time if dt is None else dt
-    motion = filter, vehicle, state.belief, control, dt, prediction_key(key, number)
+    whole = jnp.where(dt > 0, jnp.minimum(dt + state.behind, _furthest(vehicle, dt)), dt)
+    motion = filter, vehicle, state.belief, control, whole, prediction_key(key, number)
     belief, kept = predict_with_record(*motion) if record else (advance(*motion), None)
+    sound = is_sound(belief)
+
+    def chosen(new: Any, old: Any) -> Any:
+        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), new, old)
+
+    belief = chosen(belief, state.belief)
+    kept = chosen(kept, still(filter, state.belief)) if record else None
+    missing = jnp.maximum(dt, 0.0) + state.behind
+    behind = jnp.where(sound & (dt > 0), missing - whole, missing)
     last = jnp.maximum(time, state.time)
-    return state._replace(belief=belief, time=last, predictions=number), kept
+    state = state._replace(belief=belief, time=last, predictions=number, behind=behind)
+    return state, kept
+
+
+def _furthest(vehicle: AbstractVehicle, dt: Scalar) -> Scalar:
+    """S to predict at once where something has to be made up for."""
+    try:
+        return jnp.maximum(dt, vehicle.longest_step())
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError):
+        return 2 * jnp.asarray(dt)  # a limit that hangs on parameters, within a trace
+
+
+def is_sound(belief: Any) -> Bool[Array, ""]:
+    """Whether all of a belief is finite, and no variance in it below 0."""
+    sound = jnp.asarray(True)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(belief):
+        sound &= jnp.isfinite(leaf).all()
+        if path and getattr(path[-1], "name", "") == "cov":
+            sound &= (jnp.diagonal(leaf, axis1=-2, axis2=-1) >= 0).all()
+    return sound
 
 
 def process_scheduled(
@@ -204,12 +237,15 @@ def process_measurement(
     # In rising order of importance: the last reason that applies is the verdict.
     unless(jnp.asarray(score.accepted), Verdict.DROPPED)
     unless(score.nis <= score.threshold, Verdict.GATED)
-    unless(_finite(posterior) & ~jnp.isnan(score.nis), Verdict.NOT_FINITE)
+    unless(is_sound(posterior) & ~jnp.isnan(score.nis), Verdict.NOT_FINITE)
     if reading.cov is not None:
-        unless(is_positive_definite(model.noise_cov(None)), Verdict.BAD_COVARIANCE)
+        unless(
+            is_positive_definite(model.noise_cov(belief.moments().mean)), Verdict.BAD_COVARIANCE
+        )
     infinite = [jnp.isinf(leaf).any() for leaf in jax.tree.leaves(reading.measurement)]
     unless(model.possible(belief.moments().mean, measurement), Verdict.NOT_FINITE)
     unless(model.present.any() & ~jnp.stack(infinite).any(), Verdict.NOT_FINITE)
+    unless(jnp.asarray(state.behind) == 0, Verdict.UNPREDICTED)
     unless(installation.knows(reading.target), Verdict.UNKNOWN_TARGET)
     unless(reading.target != REPEATED, Verdict.DUPLICATE)
 
@@ -287,8 +323,3 @@ def prediction_key(key: PRNGKeyArray, number: Int[Array, ""] | int) -> PRNGKeyAr
 def reading_key(key: PRNGKeyArray, number: Int[Array, ""] | int) -> PRNGKeyArray:
     """The key of a reading, counted from 1; see :func:`prediction_key`."""
     return fold_in(fold_in(key, 2), number)
-
-
-def _finite(tree: Any) -> Bool[Array, ""]:
-    leaves = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)]
-    return jnp.stack(leaves).all()

@@ -72,7 +72,7 @@ def predict_with_record(
     return lax.cond(
         dt > 0,
         lambda: _moving(filter, vehicle, belief, control, dt, key),
-        lambda: (belief, _still(filter, belief)),
+        lambda: (belief, still(filter, belief)),
     )
 
 
@@ -95,9 +95,10 @@ def _moving(
     return after, _ensemble_history(belief, after)
 
 
-def _still(filter: AbstractFilter, belief: Any) -> History | EnsembleHistory:
+def still(filter: AbstractFilter, belief: Any) -> History | EnsembleHistory:
+    """What a smoother needs of a prediction over no time."""
     if isinstance(filter, AbstractWrapper):
-        return _still(filter.inner, filter.unwrap(belief))
+        return still(filter.inner, filter.unwrap(belief))
     if isinstance(filter, AbstractGaussianFilter):
         at = belief.moments()
         return History(at, at.cov)

@@ -5,9 +5,10 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
+from kedge.core.errors import DataError
 from kedge.core.registry import unknown
 from kedge.formats.toml import Strict
-from kedge.formats.units import TIME_UNITS, UNITS
+from kedge.formats.units import TIME_UNITS, unit_of
 
 
 class FieldConfig(Strict):
@@ -18,8 +19,10 @@ class FieldConfig(Strict):
 
     def validation_errors(self) -> Iterator[str]:
         """An unknown unit."""
-        if self.unit not in UNITS:
-            yield f"unit: {unknown('unit', self.unit, list(UNITS))}"
+        try:
+            unit_of(self.unit)
+        except DataError as error:
+            yield f"unit: {error}"
 
 
 class TopicConfig(Strict):

@@ -26,7 +26,7 @@ from kedge.formats.bag_messages import Bag, Message, open_bag
 from kedge.formats.bag_turns import ANGLES, ATTITUDE, parts_of, quaternion_in, turn_of
 from kedge.formats.logs import RawLog, TargetMap, checked_map
 from kedge.formats.tables import MOST_DISORDER, Table, in_order, table_of
-from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
+from kedge.formats.units import TIME_UNITS, nanoseconds, unit_of
 
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -151,8 +151,10 @@ def _table(path: Path, name: str, rows: Rows, notes: list[str]) -> Table:
 
 def _map(path: Path, rows: Rows) -> TargetMap:
     """Targets from the first message of a topic."""
-    columns = {name: values * UNITS[unit][1] for name, (values, unit) in rows.columns().items()}
-    units = {name: UNITS[unit][0] for name, unit in rows.units.items()}
+    columns = {
+        name: values * unit_of(unit)[1] for name, (values, unit) in rows.columns().items()
+    }
+    units = {name: unit_of(unit)[0] for name, unit in rows.units.items()}
     return checked_map(f"{path}: topic {rows.spec.topic!r}", rows.targets, columns, units)
 
 

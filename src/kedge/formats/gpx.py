@@ -9,7 +9,8 @@ import numpy as np
 from kedge.core.errors import DataError
 from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import in_order, read_text, table_of
+from kedge.formats.tables import in_order, table_of
+from kedge.formats.text import read_text
 
 EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 

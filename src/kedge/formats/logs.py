@@ -5,6 +5,7 @@ with their units, and the frame: ``enu`` or ``ned``, see :mod:`kedge.formats.uni
 """
 
 import csv
+import datetime
 import hashlib
 import re
 from collections import Counter
@@ -17,18 +18,21 @@ from pydantic import model_validator
 
 from kedge.core.errors import DataError
 from kedge.core.registry import readers, unknown
+from kedge.formats.attitudes import AttitudeConfig, all_to_enu
+from kedge.formats.cells import NotFinite, read_cells
 from kedge.formats.origin import OriginConfig, unit_errors, with_status
 from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
-    NotFinite,
+    Column,
     Table,
     build_table,
     check_order,
-    read_cells,
     require_finite,
+    sorted_rows,
 )
+from kedge.formats.times import TIME_FORMS, TimeForm
 from kedge.formats.toml import Strict, quoted, read_toml
-from kedge.formats.units import TIME_UNITS, UNITS, all_to_enu
+from kedge.formats.units import unit_of
 
 Frame = Literal["enu", "ned"]
 
@@ -67,6 +71,8 @@ class ColumnConfig(Strict):
 
     unit: str
     name: str | None = None
+    missing: list[str | float] = []
+    """What says that a value is missing, beside an empty cell, nan, NA, null and -."""
 
     @model_validator(mode="before")
     @classmethod
@@ -75,8 +81,10 @@ class ColumnConfig(Strict):
 
     def validation_errors(self) -> Iterator[str]:
         """An unknown unit."""
-        if self.unit not in UNITS:
-            yield f"unit: {unknown('unit', self.unit, list(UNITS))}"
+        try:
+            unit_of(self.unit)
+        except DataError as error:
+            yield f"unit: {error}"
 
 
 class SourceConfig(Strict):
@@ -85,15 +93,24 @@ class SourceConfig(Strict):
     file: str | None = None
     time: str = "time"
     time_unit: str = "s"
+    date: datetime.date | None = None
+    """Of the first row, where the times are times of day."""
+    week: int | str | None = None
+    """The GPS week of week-seconds, or the column that it is in."""
+    order: Literal["strict", "sort"] = "strict"
+    """Whether rows out of order (by up to 5 s) are sorted, and identical ones dropped."""
     columns: dict[str, ColumnConfig] = {}
+    attitude: AttitudeConfig | None = None
     target: str | None = None
     frame: Frame | None = None
     not_finite: NotFinite = "error"
 
     def validation_errors(self) -> Iterator[str]:
         """An unknown unit of time, or two columns that get one name."""
-        if self.time_unit not in TIME_UNITS:
-            yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_UNITS))}"
+        if self.time_unit not in TIME_FORMS:
+            yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_FORMS))}"
+        if self.time_unit == "week-seconds" and self.week is None:
+            yield "week: this key is missing; week-seconds need the GPS week or its column"
         yield from _twice(self.columns)
         yield from unit_errors({name: spec.unit for name, spec in self.columns.items()})
 
@@ -161,8 +178,10 @@ def read_folder(folder: Path, part: str | None = None) -> RawLog:
     if not config.sources:
         raise DataError(f"{folder / 'log.toml'}: sources: empty log: there are none")
     tables, maps, files = {}, {}, [folder / "log.toml"]
+    notes: list[str] = []
     for name, source in config.sources.items():
-        tables[name] = _read_source(folder, name, source, source.frame or config.frame)
+        frame = source.frame or config.frame
+        tables[name] = _read_source(folder, name, source, frame, notes)
         files.append(tables[name].path)
     for name, spec in config.maps.items():
         path = _file(folder, spec.file) if spec.file else files[0]
@@ -172,9 +191,8 @@ def read_folder(folder: Path, part: str | None = None) -> RawLog:
     if truth is not None:
         require_finite(truth, truth.columns, "truth")
     place = {} if config.origin == "first" else config.origin.place
-    return RawLog(
-        config.title, tables, truth, maps, tuple(dict.fromkeys(files)), (), config.epoch, place
-    )
+    read = tuple(dict.fromkeys(files))
+    return RawLog(config.title, tables, truth, maps, read, tuple(notes), config.epoch, place)
 
 
 def write_log(folder: Path, raw: RawLog) -> None:
@@ -216,16 +234,33 @@ def digest_inputs(raw: RawLog) -> str:
     return digest.hexdigest()
 
 
-def _read_source(folder: Path, name: str, source: SourceConfig, frame: Frame) -> Table:
+def _read_source(
+    folder: Path, name: str, source: SourceConfig, frame: Frame, notes: list[str]
+) -> Table:
     specs = {
-        column: (spec.name or column, spec.unit) for column, spec in source.columns.items()
+        column: Column(spec.name or column, spec.unit, tuple(spec.missing))
+        for column, spec in source.columns.items()
     }
-    cells = read_cells(_file(folder, source.file or f"{name}.csv"))
+    turned = source.attitude
+    if turned is not None:
+        specs |= {
+            column: Column(column, unit) for column, unit in turned.column_units().items()
+        }
+    form = TimeForm(source.time_unit, source.date, source.week)
+    cells = read_cells(_file(folder, source.file or f"{name}.csv"), notes=notes)
     table = build_table(
-        cells, name, source.time, source.time_unit, specs, source.target, source.not_finite
+        cells, name, source.time, form, specs, source.target, source.not_finite, notes
     )
-    check_order(table, source.time)
     table = with_status(table, cells)
+    if source.order == "sort":
+        table = sorted_rows(table, source.time, notes)
+    else:
+        check_order(table, source.time, '; order = "sort" in log.toml puts it in order')
+    if turned is not None:
+        others = {c: v for c, v in table.columns.items() if c not in turned.columns}
+        attitude = turned.inside(table.columns)
+        units = {c: table.units[c] for c in others} | dict.fromkeys(attitude, "1")
+        table = table._replace(columns=others | attitude, units=units)
     if frame == "ned":
         columns, units = all_to_enu(table.path, table.columns, table.units)
         table = table._replace(columns=columns, units=units)
@@ -237,11 +272,11 @@ def _read_map(path: Path, spec: MapSource, frame: Frame) -> TargetMap:
     cells = read_cells(path) if spec.file else None
     ids = cells.text(spec.id) if cells else list(spec.ids or ())
     for column, (name, unit) in ((c, (s.name or c, s.unit)) for c, s in spec.columns.items()):
-        factor = UNITS[unit][1]
+        factor = unit_of(unit)[1]
         columns[name] = (
             cells.numbers(column, unit) if cells else np.array(spec.values[column]) * factor
         )
-        units[name] = UNITS[unit][0]
+        units[name] = unit_of(unit)[0]
     if frame == "ned":
         columns, units = all_to_enu(path, columns, units)
     return checked_map(f"{path}", ids, columns, units)

@@ -13,7 +13,8 @@ import numpy as np
 from kedge.core.errors import DataError
 from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
-from kedge.formats.tables import Table, in_order, read_text, table_of
+from kedge.formats.tables import Table, in_order, table_of
+from kedge.formats.text import read_text
 
 DAY = datetime.timedelta(days=1)
 HALF = DAY / 2

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from kedge.core.errors import DataError
+from kedge.formats.cells import Cells, read_cells
 from kedge.formats.guesses import TARGET, TIME, Guess, guess, plain, time_unit, weighed
-from kedge.formats.tables import Cells, build_table, check_order, read_cells
+from kedge.formats.tables import build_table, check_order
 from kedge.formats.toml import quoted
 
 ENDINGS = (".csv", ".csv.gz", ".tsv", ".txt", ".txt.gz")

@@ -5,25 +5,21 @@ resolves only 240 ns. All checks of single values happen here, so that every mes
 file, line and column.
 """
 
-import csv
-import gzip
-import io
-import zlib
 from collections.abc import Collection, Mapping, Sequence
-from decimal import Decimal
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Int64
 
 from kedge.core.errors import DataError
 from kedge.core.registry import unknown
-from kedge.formats.units import TIME_UNITS, UNITS, nanoseconds
+from kedge.formats.cells import Cells, NotFinite
+from kedge.formats.times import TimeForm
+from kedge.formats.units import unit_of
 
 MOST_DISORDER = 5.0
 """s by which a row may be late: what is sorted."""
-NotFinite = Literal["error", "reject"]
 
 
 class Table(NamedTuple):
@@ -61,139 +57,25 @@ class Table(NamedTuple):
         )
 
 
-class Cells(NamedTuple):
-    """The text of a table, by column."""
+class Column(NamedTuple):
+    """What a column is inside."""
 
-    path: Path
-    columns: dict[str, list[str]]
-    lines: Int64[np.ndarray, " n"]
-
-    def text(self, column: str) -> list[str]:
-        """A column without the blanks around its cells.
-
-        Raises:
-            DataError: there is none; the message lists those that there are.
-        """
-        if column not in self.columns:
-            raise DataError(f"{self.path}:1: {unknown('column', column, list(self.columns))}")
-        return [cell.strip() for cell in self.columns[column]]
-
-    def numbers(
-        self, column: str, unit: str = "1", not_finite: NotFinite = "error"
-    ) -> Float[np.ndarray, " n"]:
-        """A column in SI units; an empty cell is NaN, which means that the value is missing.
-
-        With ``not_finite="reject"`` an infinity and a written NaN come out as an infinity,
-        which the estimator answers with the verdict NOT_FINITE.
-
-        Raises:
-            DataError: a cell is no number or not finite.
-        """
-        text = self.text(column)
-        if unit not in UNITS:
-            raise DataError(
-                f"{self.path}: column {column!r}: {unknown('unit', unit, list(UNITS))}"
-            )
-        values = np.array(self._parsed(column, text, float, "a number"), float)
-        empty = np.array([not cell for cell in text], bool)
-        bad = ~np.isfinite(values) & ~empty
-        if bad.any() and not_finite == "error":
-            at = int(np.argmax(bad))
-            raise self._wrong(at, column, repr(text[at]), "a finite number")
-        return np.where(bad & np.isnan(values), np.inf, values) * UNITS[unit][1]
-
-    def stamps(self, column: str, unit: str = "s") -> Int64[np.ndarray, " n"]:
-        """A column of times in ns, rounded only beyond the nanosecond.
-
-        Raises:
-            DataError: a cell is no time, or is out of the range of 64-bit nanoseconds.
-        """
-        if unit not in TIME_UNITS:
-            raise DataError(
-                f"{self.path}: column {column!r}: {unknown('unit', unit, list(TIME_UNITS))}"
-            )
-        power = TIME_UNITS[unit]
-        stamps = self._parsed(
-            column, self.text(column), lambda cell: nanoseconds(Decimal(cell), power), "a time"
-        )
-        wide = [at for at, stamp in enumerate(stamps) if not -(2**63) <= stamp < 2**63]
-        if wide:
-            shown = repr(self.columns[column][wide[0]])
-            raise self._wrong(wide[0], column, shown, f"a time in {unit} within 292 years of 0")
-        return np.array(stamps, np.int64)
-
-    def _parsed(self, column: str, text: list[str], parse, kind: str) -> list:
-        filled = [cell or "nan" for cell in text] if parse is float else text
-        try:
-            # Python reads 1_000 as a number; in a file it is more likely a slip.
-            if "_" not in "".join(filled):
-                return list(map(parse, filled))
-        except (ValueError, ArithmeticError):
-            pass
-        for at, cell in enumerate(filled):
-            try:
-                parse("wrong" if "_" in cell else cell)
-            except (ValueError, ArithmeticError):
-                raise self._wrong(at, column, repr(text[at]), kind) from None
-        raise AssertionError("one cell could not be parsed")
-
-    def _wrong(self, at: int, column: str, shown: str, expected: str) -> DataError:
-        place = f"{self.path}:{self.lines[at]}: column {column!r}"
-        return DataError(f"{place}: found {shown}, expected {expected}")
-
-
-def read_cells(path: Path, header: Sequence[str] | None = None) -> Cells:
-    """Read a CSV file with a header line, or one of ``header``'s columns between blanks.
-
-    In the second kind, text after a # is a comment. Files ending in .gz are unpacked.
-
-    Raises:
-        DataError: the file is missing, unreadable or has no rows, or a row is ragged.
-    """
-    text, rows, lines = read_text(path), [], []
-    if header is None:
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-        try:
-            for row in reader:
-                if row:
-                    rows.append(row)
-                    lines.append(reader.line_num)
-        except csv.Error as error:
-            raise DataError(f"{path}:{reader.line_num}: no readable CSV: {error}") from error
-        header = [name.strip() for name in rows.pop(0)] if rows else []
-        lines = lines[1:]
-    else:
-        for number, line in enumerate(text.splitlines(), start=1):
-            if row := line.partition("#")[0].split():
-                rows.append(row)
-                lines.append(number)
-    twice = {name for name in header if header.count(name) > 1}
-    if twice:
-        raise DataError(f"{path}:1: two columns are called {min(twice)!r}; names must differ")
-    if not rows:
-        raise DataError(f"{path}: empty log: found no rows, expected at least one")
-    for row, line in (
-        zip(rows, lines, strict=True) if {*map(len, rows)} != {len(header)} else ()
-    ):
-        if len(row) != len(header):
-            raise DataError(
-                f"{path}:{line}: found {len(row)} cells, expected {len(header)}: "
-                f"{', '.join(header)}"
-            )
-    columns = zip(header, zip(*rows, strict=True), strict=True)
-    return Cells(
-        path, {name: list(cells) for name, cells in columns}, np.array(lines, np.int64)
-    )
+    name: str
+    unit: str
+    """In the file."""
+    missing: tuple[str | float, ...] = ()
+    """Words and numbers that say that a value is missing, beside the usual words."""
 
 
 def build_table(
     cells: Cells,
     name: str,
     time: str,
-    time_unit: str,
-    columns: Mapping[str, tuple[str, str]],
+    time_form: str | TimeForm,
+    columns: Mapping[str, Column | tuple[str, str]],
     target: str | None = None,
     not_finite: NotFinite = "error",
+    notes: list[str] | None = None,
 ) -> Table:
     """Convert text to a table; its order is not checked yet, see :func:`check_order`.
 
@@ -201,25 +83,38 @@ def build_table(
         cells: the text.
         name: what the source is called.
         time: the column of stamps.
-        time_unit: s, ms, us or ns.
+        time_form: the unit of its numbers, or all that is known of how they are written.
         columns: column in the file -> its name inside and its unit in the file.
         target: a column of text.
         not_finite: what a written NaN or infinity is: an error, or a reading to be rejected.
+        notes: gets what was odd.
 
     Raises:
-        DataError: a column is missing or a cell cannot be understood.
+        DataError: a column is missing, a cell cannot be understood, or the file itself names
+            another unit.
     """
+    declared = {
+        column: spec if isinstance(spec, Column) else Column(spec[0], spec[1])
+        for column, spec in columns.items()
+    }
+    for column, spec in declared.items():
+        written = cells.units.get(column)
+        if written and unit_of(written) != unit_of(spec.unit):
+            raise DataError(
+                f"{cells.path}: column {column!r}: its row of units says {written!r}, the log "
+                f"{spec.unit!r}"
+            )
     return Table(
         name,
         cells.path,
-        cells.stamps(time, time_unit),
+        cells.stamps(time, time_form),
         {
-            inside: cells.numbers(column, unit, not_finite=not_finite)
-            for column, (inside, unit) in columns.items()
+            spec.name: cells.numbers(column, spec.unit, not_finite, spec.missing, notes)
+            for column, spec in declared.items()
         },
         {} if target is None else {target: cells.text(target)},
         cells.lines,
-        {inside: UNITS[unit][0] for inside, unit in columns.values()},
+        {spec.name: unit_of(spec.unit)[0] for spec in declared.values()},
     )
 
 
@@ -238,21 +133,21 @@ def table_of(
     Raises:
         DataError: a unit is unknown.
     """
-    for column, (_, unit) in columns.items():
-        if unit not in UNITS:
-            what = unknown("unit", unit, list(UNITS))
-            raise DataError(f"{path}: column {column!r}: {what}")
+    try:
+        units = {column: unit_of(unit) for column, (_, unit) in columns.items()}
+    except DataError as error:
+        raise DataError(f"{path}: {name}: {error}") from None
     return Table(
         name,
         path,
         np.asarray(stamps, np.int64),
         {
-            c: np.asarray(values, float) * UNITS[unit][1]
-            for c, (values, unit) in columns.items()
+            column: np.asarray(values, float) * units[column][1]
+            for column, (values, _) in columns.items()
         },
         {column: list(values) for column, values in (texts or {}).items()},
         np.arange(1, len(stamps) + 1) if lines is None else np.asarray(lines),
-        {column: UNITS[unit][0] for column, (_, unit) in columns.items()},
+        {column: unit for column, (unit, _) in units.items()},
     )
 
 
@@ -303,6 +198,30 @@ def in_order(table: Table, notes: list[str], disorder: float = np.inf) -> Table:
     return table.take(np.array(sorted(last.values())))
 
 
+def sorted_rows(table: Table, time: str, notes: list[str]) -> Table:
+    """The table in time order and without identical rows; ``notes`` says what was changed.
+
+    Raises:
+        DataError: time jumps back too far, or rows of one stamp differ.
+    """
+    if len(table.stamps) > 2 and (np.diff(table.stamps) < 0).all():
+        notes.append(f"{table.name}: its newest row came first; rows were turned around")
+        return table.take(np.arange(len(table.stamps))[::-1])
+    backwards = int((np.diff(table.stamps) < 0).sum())
+    if backwards:
+        _check_jump(table, MOST_DISORDER)
+        notes.append(f"{table.name}: time went backwards {backwards} times; rows were sorted")
+        table = table.take(np.argsort(table.stamps, kind="stable"))
+    columns = [values.tolist() for values in (table.stamps, *table.columns.values())]
+    rows = list(map(repr, zip(*columns, *table.texts.values(), strict=True)))  # NaN is no NaN
+    first = {row: at for at, row in reversed(list(enumerate(rows)))}
+    if len(first) < len(rows):
+        notes.append(f"{table.name}: dropped {len(rows) - len(first)} identical rows")
+        table = table.take(np.array(sorted(first.values())))
+    check_order(table, time)
+    return table
+
+
 def _check_jump(table: Table, disorder: float) -> None:
     latest = np.maximum.accumulate(table.stamps)
     jump = (latest - table.stamps) / 1e9
@@ -310,21 +229,37 @@ def _check_jump(table: Table, disorder: float) -> None:
         return
     at = int(np.argmax(jump > disorder))
     before = int(np.argmax(table.stamps == latest[at]))
-    known = {86_400: "midnight in stamps without a date", 604_800: "a new GPS week"}
-    looks = next((what for size, what in known.items() if abs(jump[at] - size) < 60), None)
-    if looks is None and table.stamps[at] - table.stamps[0] < 0.1 * (
-        latest[at] - table.stamps[0]
-    ):
-        looks = "a second playing of the recording"
     raise DataError(
         f"{table.path}: {table.name}: row {table.lines[at]}: found {table.stamps[at]} ns after "
         f"{latest[at]} ns in row {table.lines[before]}, expected it to go back by at most "
-        f"{disorder:g} s{f'; it looks like {looks}' if looks else ''}"
+        f"{disorder:g} s{_looks_like(table, at)}"
     )
 
 
-def check_order(table: Table, time: str) -> None:
+def _looks_like(table: Table, at: int) -> str:
+    """What a jump back to row ``at`` may come from."""
+    if (np.diff(table.stamps) < 0).all():
+        return "; it looks like the newest row comes first"
+    latest = int(table.stamps[:at].max())
+    jump, last = (latest - int(table.stamps[at])) / 1e9, latest - int(table.stamps[0])
+    known = {
+        86_400: "midnight in stamps without a date",
+        604_800: "a new GPS week, or its rollover",
+    }
+    looks = next((what for size, what in known.items() if abs(jump - size) < 60), None)
+    if (
+        looks is None
+        and jump > MOST_DISORDER
+        and table.stamps[at] - table.stamps[0] < 0.1 * last
+    ):
+        looks = "a second playing of the recording"
+    return f"; it looks like {looks}" if looks else ""
+
+
+def check_order(table: Table, time: str, remedy: str = "") -> None:
     """Refuse time that goes backwards, and a stamp (of the same target) that comes twice.
+
+    ``remedy`` ends the message where putting in order would help.
 
     Raises:
         DataError: with both lines.
@@ -333,19 +268,27 @@ def check_order(table: Table, time: str) -> None:
     steps = np.diff(table.stamps)
     if (steps < 0).any():
         at = int(np.argmax(steps < 0)) + 1
+        jump = (int(table.stamps[:at].max()) - int(table.stamps[at])) / 1e9
+        helps = jump <= MOST_DISORDER or (steps < 0).all()
         raise DataError(
             place.format(table.lines[at]) + f"{table.stamps[at]} ns after "
             f"{table.stamps[at - 1]} ns, expected time that does not go backwards"
+            f"{_looks_like(table, at)}{remedy if helps else ''}"
         )
     if not (steps == 0).any():
         return
     seen: dict[tuple, int] = {}
     for at, key in enumerate(zip(table.stamps.tolist(), *table.texts.values(), strict=True)):
         if key in seen:
+            same = all(
+                np.array_equal(values[at], values[seen[key]], equal_nan=True)
+                for values in table.columns.values()
+            )
             what = f" and {key[1]!r}" if table.texts else ""
             raise DataError(
                 place.format(table.lines[at]) + f"{key[0]} ns{what} again after line "
                 f"{table.lines[seen[key]]}, expected no time twice in one source"
+                f"{remedy if same else ''}"
             )
         seen[key] = at
 
@@ -365,20 +308,3 @@ def require_finite(table: Table, columns: Collection[str], role: str) -> None:
                 f"{table.path}:{line}: column {name!r}: found {shown}, expected a finite "
                 f"number: {role} must be complete"
             )
-
-
-def read_text(path: Path) -> str:
-    """The text of a file, unpacked if its name ends in .gz.
-
-    Raises:
-        DataError: it is missing or cannot be read.
-    """
-    try:
-        data = path.read_bytes()
-        if path.suffix == ".gz":
-            data = gzip.decompress(data)
-        return data.decode("utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from error

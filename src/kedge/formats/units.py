@@ -9,12 +9,14 @@ says how it is brought to ENU:
 * with ``body`` in NAME, y and z change their signs instead;
 * ``heading`` becomes 90 degrees minus itself, wrapped;
 * ``yaw_rate``, ``bearing``, ``steering`` and ``pitch`` change their signs;
-* everything else stays; covariances and quaternions are refused.
+* ``NAME_w`` to ``NAME_z`` is a quaternion, turned as a whole
+  (:func:`kedge.formats.attitudes.from_ned`);
+* everything else stays; covariances are refused.
 """
 
 import math
 import re
-from collections.abc import Mapping
+from collections import Counter
 from decimal import Decimal
 from pathlib import Path
 
@@ -22,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from kedge.core.errors import DataError
+from kedge.core.registry import unknown
 
 DEGREE = math.pi / 180
 UNITS: dict[str, tuple[str, float]] = {
@@ -49,17 +52,85 @@ UNITS: dict[str, tuple[str, float]] = {
     "bar": ("Pa", 1e5),
     "N": ("N", 1.0),
     "N m": ("N m", 1.0),
-    # Variances and covariances that come with readings.
-    "m^2": ("m^2", 1.0),
-    "rad^2": ("rad^2", 1.0),
-    "deg^2": ("rad^2", DEGREE**2),
-    "m*rad": ("m*rad", 1.0),
-    "m^2/s^2": ("m^2/s^2", 1.0),
 }
-"""Unit in a file -> (SI unit, factor)."""
+"""Unit in a file -> (SI unit, factor); :func:`unit_of` knows their products too."""
 
 TIME_UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit of time -> power of ten in ns."""
+
+
+def unit_of(text: str) -> tuple[str, float]:
+    """SI unit and factor of a unit, or of a product with powers: ``(rad/s)^2``, ``m^2/s^4``.
+
+    Products come out in one spelling, so that two which are the same unit are the same text.
+
+    Raises:
+        DataError: it is none.
+    """
+    if text in UNITS:
+        return UNITS[text]
+    try:
+        powers, factor = _Product(text).read()
+    except (ValueError, KeyError, OverflowError):
+        raise DataError(
+            f"{unknown('unit', text, list(UNITS))}, and products of these such as m^2, "
+            "(rad/s)^2 or m^2/s^4"
+        ) from None
+    above, below = (
+        [
+            f"{unit}^{abs(n)}" if abs(n) > 1 else unit
+            for unit, n in sorted(powers.items())
+            if keep(n)
+        ]
+        for keep in (lambda n: n > 0, lambda n: n < 0)
+    )
+    return "/".join(["*".join(above) or "1", *below]), factor
+
+
+def product_of(first: str, second: str) -> str:
+    """The SI unit of a covariance of two quantities."""
+    return unit_of(f"({first})*({second})")[0]
+
+
+class _Product:
+    """A product of units, read from left to right."""
+
+    def __init__(self, text: str):
+        self.tokens = re.findall(r"[A-Za-z%]+|\^-?\d|[()*/1]|\S", text.replace("²", "^2"))
+
+    def read(self) -> tuple[Counter[str], float]:
+        powers, factor = self._factors()
+        if self.tokens:
+            raise ValueError(self.tokens)
+        return Counter({unit: n for unit, n in powers.items() if n}), factor
+
+    def _factors(self) -> tuple[Counter[str], float]:
+        powers, factor, sign = Counter(), 1.0, 1
+        while True:
+            more, scale = self._power()
+            for unit, n in more.items():
+                powers[unit] += sign * n
+            factor *= scale**sign
+            if not self.tokens or self.tokens[0] == ")":
+                return powers, factor
+            sign = {"/": -1}.get(self.tokens[0], 1)
+            if self.tokens[0] in "*/":
+                self.tokens.pop(0)
+
+    def _power(self) -> tuple[Counter[str], float]:
+        token = self.tokens.pop(0) if self.tokens else ""
+        if token == "(":
+            powers, factor = self._factors()
+            if not self.tokens or self.tokens.pop(0) != ")":
+                raise ValueError("a bracket that is not closed")
+        else:
+            unit, factor = UNITS[token]
+            # What is no atom in SI (g) is a product of atoms.
+            atom = unit == token or unit.isalpha()
+            powers = Counter({unit: 1}) if atom else _Product(unit).read()[0]
+            powers.pop("1", None)
+        power = int(self.tokens.pop(0)[1:]) if self.tokens and self.tokens[0][0] == "^" else 1
+        return Counter({u: n * power for u, n in powers.items()}), factor**power
 
 
 def nanoseconds(number: Decimal, power: int) -> int:
@@ -77,25 +148,13 @@ def nanoseconds(number: Decimal, power: int) -> int:
     return round(number.scaleb(power))
 
 
-def all_to_enu(
-    path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str]
-) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Bring all columns of a NED source to ENU: values and units by their names there.
-
-    Raises:
-        DataError: a column is a covariance or a quaternion.
-    """
-    turned = {name: to_enu(path, name, units[name], values) for name, values in columns.items()}
-    return dict(turned.values()), {new: units[old] for old, (new, _) in turned.items()}
-
-
 def to_enu(
     path: Path, name: str, unit: str, values: Float[np.ndarray, " n"]
 ) -> tuple[str, Float[np.ndarray, " n"]]:
     """Bring one NED column to ENU: its name there and its values.
 
     Raises:
-        DataError: it is a covariance or a quaternion, which one column cannot tell.
+        DataError: it is a covariance or a part of a quaternion, which one column cannot tell.
     """
     if "attitude" in name or "^2" in unit.replace("s^2", "") or "*" in unit:
         raise DataError(

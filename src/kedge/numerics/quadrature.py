@@ -49,6 +49,11 @@ def unscented(size: int, alpha: float = 1.0, beta: float = 0.0, kappa: float = 1
     return Rule(points, mean, cov)
 
 
+def least_size(kappa: float) -> int:
+    """The fewest variables for which the unscented rule exists: n + kappa is above 0."""
+    return max(1, math.floor(-kappa) + 1) if math.isfinite(kappa) else 1
+
+
 def cubature(size: int) -> Rule:
     r"""The third-degree spherical-radial rule: $\pm\sqrt n\,e_i$ with weights $1 / 2n$.
 

@@ -22,7 +22,7 @@ from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, mirrored, square_root
 from kedge.numerics.noise import process_std
 from kedge.numerics.propagation import weighted_images
-from kedge.numerics.quadrature import Rule, unscented
+from kedge.numerics.quadrature import Rule, least_size, unscented
 
 
 class SigmaPointBelief(NamedTuple):
@@ -78,7 +78,7 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
     redraw: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
-        self._rule(1)
+        self._rule(least_size(self.kappa))
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> SigmaPointBelief:
         """The prior, with points of it."""

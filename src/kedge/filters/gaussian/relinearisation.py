@@ -17,7 +17,6 @@ from kedge.filters.gaussian.recursion import (
     AbstractMomentPrediction,
     expectation_of,
     moved,
-    turned,
 )
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, solve_lower, square_root, symmetric
@@ -65,6 +64,7 @@ class AbstractRelinearised(AbstractMomentPrediction):
         prior = square_root(belief.cov)
         one = jnp.eye(prior.shape[0], dtype=prior.dtype)
         noise_cov = model.noise_cov(belief.mean).astype(prior.dtype)
+        noise_root = square_root(noise_cov)
 
         def seen(point: Float[Array, " n"], root: Float[Array, "n n"]) -> Any:
             return strategy.factors(lambda error: expect(prior @ (point + error)), root)
@@ -76,7 +76,7 @@ class AbstractRelinearised(AbstractMomentPrediction):
             white = solve_lower(weight, away)
             return point @ point + white @ white
 
-        point, root, cov, score = jnp.zeros_like(one[0]), one, one, None
+        point, root, factor, score = jnp.zeros_like(one[0]), one, one, None
         for _ in range(self.iterations):
             factors = seen(point, root)
             A = gain(factors.after @ factors.before.T, root)
@@ -93,14 +93,14 @@ class AbstractRelinearised(AbstractMomentPrediction):
             floor = jnp.finfo(S.dtype).eps ** 0.5 * jnp.diag(jnp.diag(S))
             weight = cholesky(R + floor)
             point = self._step(point, target, ft.partial(merit, root=root, weight=weight))
-            joseph = one - K @ A
-            cov = symmetric(joseph @ joseph.T + K @ R @ K.T)
-            root = self.around(cov)
+            # As a sum of squares: a variance that vanishes must not come out below 0.
+            factor = jnp.concatenate([one - K @ A, K @ residuals, K @ noise_root], axis=1)
+            root = self.around(symmetric(factor @ factor.T))
 
         assert score is not None  # there is at least one iteration
         mean, turn = moved(belief.mean, prior @ point)
-        after = turned(turn, symmetric(prior @ cov @ prior.T))
-        return belief._replace(mean=mean, cov=after), score
+        factor = prior @ factor if turn is None else turn @ prior @ factor
+        return belief._replace(mean=mean, cov=symmetric(factor @ factor.T)), score
 
     def _step(
         self,

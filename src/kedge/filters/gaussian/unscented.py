@@ -7,7 +7,7 @@ import equinox as eqx
 from kedge.core.registry import filters
 from kedge.filters.gaussian.recursion import AbstractMomentFilter
 from kedge.numerics.propagation import SigmaPoints
-from kedge.numerics.quadrature import unscented
+from kedge.numerics.quadrature import least_size, unscented
 
 
 @filters.add("unscented")
@@ -38,12 +38,13 @@ class UnscentedKalman(AbstractMomentFilter):
     kappa: float = eqx.field(static=True, default=1.0)
 
     def __check_init__(self):
-        unscented(1, self.alpha, self.beta, self.kappa)
+        unscented(least_size(self.kappa), self.alpha, self.beta, self.kappa)
 
     def strategy(self) -> SigmaPoints:
         """The scaled unscented rule."""
-        # The centre's weight 1 - n / (alpha^2 (n + kappa)) is monotone in n = 1, 2, ...
-        ends = (1 / (1 + self.kappa), 1.0)
+        # The centre's weight 1 - n / (alpha^2 (n + kappa)) is monotone in n.
+        least = least_size(self.kappa)
+        ends = (least / (least + self.kappa), 1.0)
         lowest = min(1 - end / self.alpha**2 for end in ends) + 1 - self.alpha**2 + self.beta
         return SigmaPoints(
             ft.partial(unscented, alpha=self.alpha, beta=self.beta, kappa=self.kappa),
