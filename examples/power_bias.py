@@ -17,7 +17,7 @@ from hanyang_errors import read_static
 
 from kedge import Problem, load_problem, run_filters, use_compilation_cache
 from kedge.calibration.power_bias import PowerBias, fit_power_bias
-from kedge.formats.tables import read_cells
+from kedge.formats.cells import read_cells
 
 RUNS = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for case in (1, 2)]
 KNOTS = 10

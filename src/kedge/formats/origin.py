@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from kedge.core.errors import DataError
-from kedge.formats.tables import Cells, Table
+from kedge.formats.cells import Cells
+from kedge.formats.tables import Table
 from kedge.formats.toml import Strict
 from kedge.formats.units import DEGREE
 
