@@ -1,5 +1,6 @@
 """Settings and fixtures of every test: 64-bit floats, no silent broadcasting, fixed seeds."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -107,6 +108,12 @@ class Times:
         whole = {one for one in self.long if "::" not in one}
         lines = whole | {one for one in self.long if one.split("::")[0] not in whole}
         LISTED.write_text("".join(f"{line}\n" for line in sorted(lines)))
+
+
+def pytest_collection_finish():
+    """Tracing makes millions of short-lived objects; to look for cycles takes a quarter of it."""
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 50)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
