@@ -23,6 +23,9 @@ PYTEST := $(BIN)/pytest -n $(JOBS) --maxprocesses=8 --dist=worksteal
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# Checked and rewritten modules take seconds to compile, once for all test processes and steps.
+export PYTHONDONTWRITEBYTECODE :=
+export PYTHONPYCACHEPREFIX := $(CURDIR)/build/pycache
 # The build backend is pinned too; older pips read the first name, newer ones the second.
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_BUILD_CONSTRAINT := $(CURDIR)/constraints.txt

@@ -111,7 +111,7 @@ class Times:
 
 
 def pytest_collection_finish():
-    """Tracing makes millions of short-lived objects; to look for cycles takes a quarter of it."""
+    """Tracing makes millions of short-lived objects; looking for cycles took a quarter of it."""
     gc.freeze()
     gc.set_threshold(100_000, 20, 50)
 

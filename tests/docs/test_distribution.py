@@ -4,7 +4,7 @@ import ast
 import re
 import tomllib
 from functools import cache
-from importlib.metadata import distributions
+from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
 import pytest
@@ -66,30 +66,34 @@ def name(requirement: str) -> str:
     return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
 
 
+@cache
+def installed() -> dict[str, Distribution]:
+    return {name(dist.metadata["Name"]): dist for dist in distributions()}
+
+
 def modules_and_programs(need: str) -> tuple[set[str], set[str]]:
     """What a distribution brings: the names that one imports, and those that one runs."""
-    for dist in distributions():
-        if name(dist.metadata["Name"]) == need:
-            tops = {path.parts[0].removesuffix(".py") for path in dist.files or ()}
-            runs = {e.name for e in dist.entry_points if e.group == "console_scripts"}
-            runs |= {p.name for p in dist.files or () if "bin" in p.parts}
-            return {top for top in tops if top.isidentifier()}, runs
-    pytest.skip(f"{need} is not installed")
+    if need not in installed():
+        pytest.skip(f"{need} is not installed")
+    dist = installed()[need]
+    tops = {path.parts[0].removesuffix(".py") for path in dist.files or ()}
+    runs = {e.name for e in dist.entry_points if e.group == "console_scripts"}
+    runs |= {p.name for p in dist.files or () if "bin" in p.parts}
+    return {top for top in tops if top.isidentifier()}, runs
 
 
 @cache
-def used(folders: tuple[str, ...]) -> set[str]:
-    """Modules that the Python files in some folders import, or name in a string to do so."""
+def used(folder: str) -> set[str]:
+    """Modules that a folder's Python files import, or name in a string to do so."""
     names = set()
-    for folder in folders:
-        for path in (ROOT / folder).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    names |= {alias.name for alias in node.names}
-                elif isinstance(node, ast.ImportFrom):
-                    names.add(node.module or "")
-                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                    names.add(node.value if len(node.value) < 40 else "")
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add(node.module or "")
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                names.add(node.value if len(node.value) < 40 else "")
     return {each.split(".")[0] for each in names}
 
 
@@ -120,4 +124,6 @@ def test_each_dependency_is_used(need, folders):
         assert BY_NAME[need] in recipes
         return
     runs = any(re.search(rf"\$\(BIN\)/{re.escape(p)}\b", recipes) for p in programs)
-    assert runs or (modules | programs) & used(folders), f"nothing uses {need}: drop it"
+    assert runs or (modules | programs) & set().union(*map(used, folders)), (
+        f"nothing uses {need}: drop it"
+    )

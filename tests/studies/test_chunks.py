@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,12 +26,19 @@ def buoy(tmp_path):
     return path
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """Where the study of which tests spoil copies is run, once."""
+    return tmp_path_factory.mktemp("original") / "whole"
+
+
 @pytest.fixture
-def whole(buoy, kedge, tmp_path):
+def whole(original, buoy, kedge, tmp_path):
     """A study's folder with three chunks."""
-    code, _, err = kedge("study", buoy, "--out", tmp_path / "whole", *OPTIONS)
-    assert code == 0, err
-    return tmp_path / "whole"
+    if not original.exists():
+        code, _, err = kedge("study", buoy, "--out", original, *OPTIONS)
+        assert code == 0, err
+    return Path(shutil.copytree(original, tmp_path / "whole"))
 
 
 def figures(folder):
