@@ -111,7 +111,7 @@ class Times:
 
 
 def pytest_collection_finish():
-    """Tracing makes millions of short-lived objects; looking for cycles took a quarter of it."""
+    """Tracing makes millions of short-lived objects: a quarter of it was looking for cycles."""
     gc.freeze()
     gc.set_threshold(100_000, 20, 50)
 

@@ -31,12 +31,7 @@ LOOPS = {
     "hypotheses": "instructions",
     "posterior-linearisation": "instructions",
 }
-FAST = {"extended"}
-STRAIGHT = [
-    pytest.param(name, marks=() if name in FAST else pytest.mark.slow)
-    for name in filters.names()
-    if name not in RANDOM | {"kalman"} and name not in LOOPS
-]
+STRAIGHT = [name for name in filters.names() if name not in {"kalman", *RANDOM, *LOOPS}]
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +76,7 @@ def assert_same(found, expected, rtol=1e-11):
             np.testing.assert_allclose(mine, theirs, rtol=rtol, atol=rtol)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STRAIGHT)
 def test_same_as_xla(name, problem):
     scenario, log = problem

@@ -11,8 +11,8 @@ import pytest
 def test_nothing_that_was_whole_is_lost():
     # A process of its own: copies of one in which JAX computes would wait for its threads.
     script = Path(__file__).with_name("kills.py")
-    command = [sys.executable, "-W", "ignore", script, "--count", "10", "--seed", "3"]
+    command = [sys.executable, "-W", "ignore", script, "--count", "5", "--seed", "3"]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     rows = [line.split() for line in run.stdout.splitlines()[1:]]
-    assert sum(int(row[-6]) for row in rows) >= 3, run.stdout  # killed before they ended
+    assert sum(int(row[-6]) for row in rows) >= 2, run.stdout  # killed before they ended
