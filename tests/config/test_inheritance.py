@@ -78,3 +78,25 @@ def test_only_files_among_parameters_are_placed(tmp_path):
     assert placed(tree, tmp_path) == tree
     absolute = {"parameters": {"coefficients": str(tmp_path / "x.toml")}}
     assert placed(absolute, tmp_path / "y") == absolute
+
+
+@pytest.mark.parametrize("rig", ["navego_synthetic", "hanyang_uwb", "agv_amcl"])
+def test_a_scenario_that_extends_a_rig_runs_at_once(rig, tmp_path):
+    """What is about the log (format, control, truth, columns, the prior's pose) is left out."""
+    maps = "[maps.anchors]\nids = ['a', 'b', 'c']\n[maps.anchors.columns]\n" + "".join(
+        f"position_{axis} = {values}\n" for axis, values in (("x", [0, 9, 0]), ("y", [0, 0, 9]))
+    )
+    own = f"extends = {rig!r}\n{maps if rig == 'hanyang_uwb' else ''}[scenario]\nruns = 2\n"
+    setting = load_scenario(written(tmp_path / "own.toml", own))
+    config = load_rig_config(rig)
+    about = setting.config.scenario
+    assert (about.runs, about.title) == (2, config.title)
+    assert about.filters == ["dead-reckoning", config.filter.name]
+    assert setting.config.vehicle == config.vehicle
+    assert setting.scenario.rig.names == tuple(config.sensors)
+
+
+def test_a_map_from_a_log_is_missed(tmp_path):
+    own = written(tmp_path / "own.toml", 'extends = "mrclam"\n[scenario]\nduration = 5.0\n')
+    with pytest.raises(ConfigError, match=r"sensors.camera.map: .* has no log to take it from"):
+        load_scenario(own)

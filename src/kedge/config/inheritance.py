@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from kedge.config.plugins import load_modules
+from kedge.config.simulated import simulated
 from kedge.core.errors import ConfigError
 
 Tree = dict[str, Any]
-EXTENDS, WITHOUT = "extends", "without"
+EXTENDS, WITHOUT, SCENARIO = "extends", "without", "scenario"
 
 
 def completed(tree: Tree, path: Path, shipped: Mapping[str, Path]) -> Tree:
@@ -18,7 +19,8 @@ def completed(tree: Tree, path: Path, shipped: Mapping[str, Path]) -> Tree:
     ``extends`` is a name among ``shipped`` or the path of a TOML file, relative to the one that
     says so. Tables are merged key by key; a value or a list takes the place of what was there,
     and so does a table that names another ``model``, with all that was said of the one before.
-    ``without`` lists what is left out of the other file, by dotted keys.
+    ``without`` lists what is left out of the other file, by dotted keys. A scenario may extend
+    a rig: see :func:`kedge.config.simulated.simulated`.
 
     Raises:
         ConfigError: that file is missing or no TOML, extends itself, or has not what is to be
@@ -54,6 +56,8 @@ def _completed(
     for key in lost if isinstance(lost, list) else [lost]:
         if not _left_out(whole, str(key).split(".")):
             raise ConfigError(f"{path}: {WITHOUT}: found {key!r}, which is not in {name!r}")
+    if SCENARIO in tree_here and SCENARIO not in whole:
+        whole = simulated(whole, name)
     return merged(whole, tree_here)
 
 

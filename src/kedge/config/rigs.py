@@ -309,8 +309,11 @@ def load_config(
     path = Path(name)
 
     def whole(tree: dict[str, Any], place: Path) -> dict[str, Any]:
-        with resources.as_file(resources.files("kedge").joinpath(kind)) as folder:
-            return completed(tree, place, {n: folder / f"{n}.toml" for n in shipped(kind)})
+        with resources.as_file(resources.files("kedge")) as folder:
+            known = {n: folder / "rigs" / f"{n}.toml" for n in shipped("rigs")}
+            if kind != "rigs":  # which a scenario may extend, too
+                known |= {n: folder / kind / f"{n}.toml" for n in shipped(kind)}
+            return completed(tree, place, known)
 
     if path.suffix == ".toml" or len(path.parts) > 1:
         load_modules(path)

@@ -273,7 +273,7 @@ class ScenarioConfig(AbstractRigConfig):
             if sensor.map is not None and sensor.map not in self.maps:
                 yield (
                     f"sensors.{name}.map: found {sensor.map!r}, expected one of "
-                    f"{list(self.maps)}"
+                    f"{list(self.maps)}; a scenario has no log to take it from"
                 )
         if self.prior.from_truth:
             yield (
