@@ -17,6 +17,7 @@ from kedge.config.building import (
     build_vehicle,
 )
 from kedge.config.columns import find_columns
+from kedge.config.mounts import with_mounts
 from kedge.config.readings import (
     find_table,
     join,
@@ -103,6 +104,7 @@ def load_problem(
         raw = with_standing(config.standing, raw, config.origin)
     bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)
     notes = list(raw.notes)
+    config = with_mounts(config, raw, set(charts_of(type(vehicle.start()))), notes)
     reference = _reference(raw, truth)
     control_stamps, controls = read_controls(config, raw, bare, notes)
     plain = {name: build_sensor(config, name, raw.maps) for name in config.sensors}

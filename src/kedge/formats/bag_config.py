@@ -53,6 +53,8 @@ class BagConfig(Strict):
     topics: dict[str, TopicConfig]
     maps: dict[str, TopicConfig] = {}
     truth: str | None = None
+    base: str = "base_link"
+    """The body's frame, from which ``/tf_static`` tells where sensors sit; "" for none."""
 
     @field_validator("maps")
     @classmethod

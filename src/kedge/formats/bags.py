@@ -22,6 +22,8 @@ from jaxtyping import Float
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.registry import readers
 from kedge.formats.bag_config import BagConfig, FieldConfig, TopicConfig
+from kedge.formats.bag_frames import TOPIC as FRAMES
+from kedge.formats.bag_frames import frame_in, frames_of, plain_frame
 from kedge.formats.bag_messages import Bag, Message, open_bag
 from kedge.formats.bag_turns import ANGLES, ATTITUDE, parts_of, quaternion_in, turn_of
 from kedge.formats.logs import RawLog, TargetMap, checked_map
@@ -46,6 +48,7 @@ class Rows:
         }
         self.values: dict[str, list[float]] = {name: [] for name in self.units}
         self.count = 0
+        self.frame = ""
 
     def add(self, path: Path, message: Message, timed: bool) -> None:
         """The rows of one message.
@@ -55,15 +58,9 @@ class Rows:
         """
         self.count += 1
         place = f"{path}: topic {message.topic!r} ({message.type}), message {self.count}"
-        try:
-            content = message.decode()
-        except Exception as error:
-            # Whatever a decoder raises, to the user it is one thing: the type is not known.
-            raise DataError(
-                f"{place}: cannot be decoded with the definition in the bag: "
-                f"{type(error).__name__}: {error}"
-            ) from error
+        content = _decoded(message, place)
         spec, stamp = self.spec, 0
+        self.frame = self.frame or frame_in(content)
         if timed:
             stamp = message.time if spec.stamp == "bag" else _stamp(content, spec, place)
             stamp += round(spec.offset * 1e9)
@@ -115,11 +112,23 @@ def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
         by_topic: dict[str, list[str]] = {}
         for name, spec in wanted.items():
             by_topic.setdefault(spec.topic, []).append(name)
-        for message in bag.messages(set(by_topic)):
-            for name in by_topic[message.topic]:
+        fixed = {FRAMES} & bag.topics.keys() if config.base else set()
+        transforms = []
+        for message in bag.messages(set(by_topic) | fixed):
+            if message.topic in fixed:
+                transforms.append(_decoded(message, f"{path}: topic {FRAMES!r}"))
+            for name in by_topic.get(message.topic, ()):
                 mapped = name not in config.topics
                 if not mapped or not gathered[name].count:
                     gathered[name].add(path, message, not mapped)
+    try:
+        frames = frames_of(transforms, plain_frame(config.base))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path}: topic {FRAMES!r}: expected messages like tf2_msgs/TFMessage: {error!r}; "
+            'base = "" in [bag] leaves them alone'
+        ) from error
+    mounts = {n: frames[r.frame] for n, r in gathered.items() if r.frame in frames}
     notes: list[str] = []
     tables = {name: _table(path, name, gathered[name], notes) for name in config.topics}
     truth = tables.pop(config.truth) if config.truth is not None else None
@@ -127,7 +136,18 @@ def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
     files = (
         (path,) if path.is_file() else tuple(sorted(p for p in path.iterdir() if p.is_file()))
     )
-    return RawLog(path.stem, tables, truth, maps, files, tuple(notes), "Unix")
+    return RawLog(path.stem, tables, truth, maps, files, tuple(notes), "Unix", mounts=mounts)
+
+
+def _decoded(message: Message, place: str) -> Any:
+    try:
+        return message.decode()
+    except Exception as error:
+        # Whatever a decoder raises, to the user it is one thing: the type is not known.
+        raise DataError(
+            f"{place}: cannot be decoded with the definition in the bag: "
+            f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def _check_topics(path: Path, bag: Bag, wanted: dict[str, TopicConfig]) -> None:

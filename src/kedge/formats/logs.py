@@ -20,6 +20,7 @@ from kedge.core.errors import DataError
 from kedge.core.registry import readers, unknown
 from kedge.formats.attitudes import AttitudeConfig, all_to_enu
 from kedge.formats.cells import NotFinite, read_cells
+from kedge.formats.bag_frames import Placed
 from kedge.formats.origin import OriginConfig, unit_errors, with_status
 from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
@@ -64,6 +65,8 @@ class RawLog(NamedTuple):
     place: dict[str, float] = {}
     """Where it was taken: ``latitude`` (rad) and ``height`` (m) of the map's origin, for
     vehicles that ask for them."""
+    mounts: dict[str, Placed] = {}
+    """By source, where on the body it was recorded, if the log tells."""
 
 
 class ColumnConfig(Strict):
