@@ -42,3 +42,12 @@ def test_truth_in_the_map_stays_and_one_without_positions_is_refused():
     assert in_the_map(known, TRACK) is known
     with pytest.raises(DataError, match="needs positions to be moved by"):
         in_the_map(Truth(TIME, {"heading": TIME}, True), TRACK)
+
+
+def test_who_stood_is_scored_without_alignment():
+    """Any rotation fits one place: a run is not lost for that."""
+    spot = np.broadcast_to(np.array([[2.0, 3.0]]), PATH.shape)
+    with pytest.warns(UserWarning, match="the errors are those without alignment"):
+        known = in_the_map(Truth(TIME, {"position": spot}, True), TRACK)
+    np.testing.assert_array_equal(known.fields["position"], spot)
+    assert not known.own_frame

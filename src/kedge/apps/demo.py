@@ -15,6 +15,7 @@ from kedge.datasets.fetch import fetch
 from kedge.estimation.rig import Installation, Rig
 from kedge.formats.logs import write_log
 from kedge.formats.simulated import simulated_log
+from kedge.reports.page import require_studio
 from kedge.simulation.scenario import Scenario
 
 FILTERS = ("dead-reckoning", "extended", "unscented", "extended+smoother")
@@ -22,7 +23,12 @@ ROBOT = 3
 
 
 def demo_problem(until: float | None) -> Problem:
-    """MRCLAM robot 3, or in one line why not, and a simulated log instead."""
+    """MRCLAM robot 3, or in one line why not, and a simulated log instead.
+
+    Raises:
+        KedgeError: what its report is drawn with is not installed.
+    """
+    require_studio()
     try:
         folder = fetch("mrclam")
     except DataError as error:

@@ -18,6 +18,7 @@ from kedge.config.building import (
 )
 from kedge.config.columns import find_columns
 from kedge.config.mounts import with_mounts
+from kedge.config.questions import odd_clocks
 from kedge.config.readings import (
     find_table,
     join,
@@ -118,6 +119,7 @@ def load_problem(
         targets = table.texts[column] if sensor.map else None
         sources[name] = Source(table.stamps, targets, table.lines)
 
+    notes += odd_clocks(control_stamps, {n: s.stamps for n, s in sources.items()})
     events = [source.stamps for source in stamped.values()]
     every = np.concatenate([control_stamps, *events])
     if len(every) == 0:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int64
 
 from kedge.config.columns import find_columns
 from kedge.config.covariances import read_covariances
+from kedge.config.questions import odd_angles, odd_ranges
 from kedge.config.rigs import AbstractRigConfig, RigConfig
 from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ConfigError, DataError
@@ -81,6 +82,7 @@ def read_controls(
     if sampling != "previous" or len(wanted) < len(units):
         columns = held(table.stamps, columns, sampling)
     controls = _fields(cls, columns, len(table.stamps))
+    notes += odd_angles("control", columns)
     if hasattr(controls, "specific_force"):
         notes += question(table, controls.specific_force, controls.angular_rate)
     return table.stamps, controls
@@ -158,7 +160,10 @@ def read_readings(
             )
             columns |= {part: np.where(wrong, np.inf, columns[part]) for part in parts}
     target = np.zeros(len(table.stamps), np.int64)
+    notes += odd_angles(name, columns)
     if spec.map is not None:
+        if "range" in columns:
+            notes += odd_ranges(name, columns["range"], map_of(config, name, raw.maps))
         index = {target: at for at, target in enumerate(map_of(config, name, raw.maps).ids)}
         texts = table.texts[spec.target or "target"]
         target = np.array([index.get(text, -1) for text in texts], np.int64)

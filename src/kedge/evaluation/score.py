@@ -1,5 +1,6 @@
 """What a run was worth: its errors, the honesty of its covariance, the fate of the readings."""
 
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -189,6 +190,8 @@ def in_the_map(truth: Truth, track: Track) -> Truth:
     """A truth in a frame of its own moved onto a track, by the best rigid motion.
 
     Only positions are moved, and orientations left out: what is left to compare is the shape.
+    Of a vehicle that stood, no motion can be found: then the truth stays where it is, with a
+    warning.
 
     Raises:
         DataError: truth has no position, or the two do not overlap.
@@ -199,8 +202,15 @@ def in_the_map(truth: Truth, track: Track) -> Truth:
         raise DataError("truth in a frame of its own needs positions to be moved by")
     known = Trajectory(truth.time, truth.fields["position"])
     estimate, true = associate(Trajectory(track.time, track.mean.position), known, MAX_GAP)
-    aligned = umeyama(true.position, estimate.position, False).apply(known)
-    return Truth(truth.time, {"position": aligned.position})
+    try:
+        known = umeyama(true.position, estimate.position, False).apply(known)
+    except DataError as error:
+        warnings.warn(
+            f"the truth has a frame of its own that cannot be found ({error}): the errors are "
+            "those without alignment",
+            stacklevel=2,
+        )
+    return Truth(truth.time, {"position": known.position})
 
 
 def _between(

@@ -71,8 +71,9 @@ def _from(base: str, name: str, links: Mapping[str, _Link]) -> Placed | None:
         turn, arm, at = link.turn * turn, link.turn.apply(arm) + link.arm, link.parent
     if at != base:
         return None
+    x, y, z = arm.tolist()
     heading, pitch, roll = turn.as_euler("ZYX").tolist()
-    return Placed(name, *arm.tolist(), heading, pitch, roll)
+    return Placed(name, x, y, z, heading, pitch, roll)
 
 
 def plain_frame(name: Any) -> str:

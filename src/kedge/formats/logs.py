@@ -19,8 +19,8 @@ from pydantic import model_validator
 from kedge.core.errors import DataError
 from kedge.core.registry import readers, unknown
 from kedge.formats.attitudes import AttitudeConfig, all_to_enu
-from kedge.formats.cells import NotFinite, read_cells
 from kedge.formats.bag_frames import Placed
+from kedge.formats.cells import NotFinite, read_cells
 from kedge.formats.origin import OriginConfig, unit_errors, with_status
 from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
