@@ -5,6 +5,7 @@ import pytest
 
 from kedge.config.rigs import load_rig_config, rig_schema, shipped_rigs
 from kedge.core.errors import ConfigError, UnknownName
+from kedge.formats.log_config import log_schema
 
 RIG = """\
 [vehicle]
@@ -226,6 +227,28 @@ def test_the_schema_takes_what_the_loader_takes(tmp_path):
     assert check.is_valid(config)
     assert check.is_valid(config | {"prior": {"std": {"position": 0.1, "heading": [0.1]}}})
     assert not check.is_valid(config | {"priro": {}})
+
+
+def keys_of(schema):
+    for name, table in {**schema["$defs"], "": schema}.items():
+        for key, about in table.get("properties", {}).items():
+            # A table may be described where its own keys are.
+            inside = schema["$defs"].get(about.get("$ref", "").rpartition("/")[2], {})
+            yield f"{name}.{key}", about.get("description") or inside.get("description")
+
+
+@pytest.mark.parametrize("schema", [rig_schema, log_schema])
+def test_every_key_is_described(schema):
+    found = dict(keys_of(schema()))
+    assert len(found) > 20
+    assert [key for key, text in found.items() if not text] == []
+
+
+def test_the_schema_of_a_log_takes_what_its_reader_takes():
+    check = jsonschema.Draft202012Validator(log_schema())
+    log = {"sources": {"wheels": {"columns": {"speed": "m/s", "w": {"unit": "deg/s"}}}}}
+    assert check.is_valid(log)
+    assert not check.is_valid({"sources": {"wheels": {"colums": {}}}})
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,21 @@ def print_catalogue(families: dict[str, dict[str, Any]]) -> None:
         console.print()
 
 
+def schema(of: str) -> dict[str, Any]:
+    """The JSON schema of rig files ("rig"), of log.toml ("log"), or of summaries."""
+    if of == "rig":
+        from kedge.config.rigs import rig_schema
+
+        return rig_schema()
+    if of == "log":
+        from kedge.formats.log_config import log_schema
+
+        return log_schema()
+    from kedge.apps.summaries import summary_schema
+
+    return summary_schema()
+
+
 def _detail(console: Any, text: str) -> None:
     console.print(f"  {'':20s} {text}", style="dim", markup=False, soft_wrap=True)
 

@@ -361,18 +361,14 @@ def datasets_path(name: str) -> None:
 @config_app.command("schema")
 def config_schema(
     of: Annotated[
-        Literal["rig", "summary"], typer.Argument(help="A rig file, or a summary.json.")
+        Literal["rig", "log", "summary"],
+        typer.Argument(help="A rig file, a log.toml, or a summary.json."),
     ] = "rig",
 ) -> None:
-    """Print a JSON schema: of rig files, or of what the commands leave as summary.json."""
-    if of == "rig":
-        from kedge.config.rigs import rig_schema
+    """Print a JSON schema: of rig files, log.toml, or what commands leave as summary.json."""
+    from kedge.apps.catalogue import schema
 
-        print_json(rig_schema())
-    else:
-        from kedge.apps.summaries import summary_schema
-
-        print_json(summary_schema())
+    print_json(schema(of))
 
 
 @app.callback(invoke_without_command=True)

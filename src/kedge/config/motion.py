@@ -18,16 +18,22 @@ class AugmentedConfig(Strict):
     """A slowly varying quantity that is estimated with the state."""
 
     std: Positive
+    """What is believed of it at first, in the quantity's unit."""
     random_walk: Annotated[Finite, Field(ge=0)] = 0.0
+    """Density of its walk, in its unit per second per root hertz."""
     time_constant: Positive | None = None
+    """s in which it comes back to its nominal value; never, if not given."""
 
 
 class VehicleConfig(Strict):
     """The motion model."""
 
     model: str
+    """Its model: `kedge list vehicles`."""
     parameters: dict[str, Parameter] = {}
+    """Parameters of the model, in SI units."""
     augmented: dict[str, AugmentedConfig] = {}
+    """Parameters of the vehicle, or biases that a sensor reads, that are estimated."""
 
     def validation_errors(self) -> Iterator[str]:
         """Unknown names."""
@@ -38,8 +44,11 @@ class ControlConfig(Strict):
     """Where the control comes from."""
 
     source: str
+    """The log's source."""
     columns: dict[str, str] = {}
+    """Component of the control -> column, where they differ."""
     sampling: Sampling = "previous"
+    """What a row tells of the time until the next: see the how-to on inertial navigation."""
     counter: Annotated[Finite, Field(gt=1)] | None = None
     """After how many counts a counter of ticks begins anew; 65536 of one with 16 bits."""
 

@@ -5,185 +5,46 @@ before any data is read.
 """
 
 import abc
-import dataclasses
 import os
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
+from pydantic import PrivateAttr
 
-from kedge.config.filters import build_filter
 from kedge.config.inheritance import completed
-from kedge.config.models import Parameter, build_model, model_errors
-from kedge.config.motion import ControlConfig, Finite, Positive, VehicleConfig
+from kedge.config.models import build_model
+from kedge.config.motion import ControlConfig, VehicleConfig
 from kedge.config.plugins import load_modules
 from kedge.config.prior_checks import attitude_errors, covariance_errors
-from kedge.core.errors import ConfigError, ContractError, KedgeError, UnknownName
+from kedge.config.sections import (
+    FilterConfig as FilterConfig,
+)
+from kedge.config.sections import (
+    MapConfig,
+    OutputConfig,
+    PriorConfig,
+    TruthConfig,
+)
+from kedge.config.sections import (
+    MountConfig as MountConfig,
+)
+from kedge.config.sections import (
+    SensorConfig as SensorConfig,
+)
+from kedge.config.sections import (
+    StandingConfig as StandingConfig,
+)
+from kedge.core.errors import ConfigError, ContractError, UnknownName
 from kedge.core.manifolds import Chart, charts_of, space_of
-from kedge.core.registry import sensors, unknown, vehicles
+from kedge.core.registry import unknown, vehicles
 from kedge.formats.bag_config import BagConfig
 from kedge.formats.odometry import POSE, TWIST
 from kedge.formats.origin import OriginConfig
 from kedge.formats.toml import Strict, read_toml
-from kedge.numerics.losses import Kind, Side
-
-
-def _listed(value: Any) -> Any:
-    return [value] if isinstance(value, int | float) else value
-
-
-_NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
-Numbers = Annotated[list[Finite], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
-Spreads = Annotated[list[Positive], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
-
-
-class MountConfig(Strict):
-    """Where a sensor sits on the body (m: forward, left, up), and how it is turned (rad)."""
-
-    x: Finite = 0.0
-    y: Finite = 0.0
-    z: Finite = 0.0
-    heading: Finite = 0.0
-    pitch: Finite = 0.0
-    roll: Finite = 0.0
-
-
-class RobustConfig(Strict):
-    """How readings far from the prediction are weighed down."""
-
-    loss: Kind = "student"
-    tuning: Positive | None = None
-    side: Side = "both"
-
-
-class SensorConfig(Strict):
-    """One installed sensor and where its readings are."""
-
-    model: str
-    source: str | None = None
-    columns: dict[str, str] = {}
-    target: str | None = None
-    map: str | None = None
-    ignore_targets: list[str] = []
-    parameters: dict[str, Parameter] = {}
-    latency: Annotated[Finite, Field(ge=-3600, le=3600)] = 0.0
-    rate: Positive | None = None
-    all_targets: bool = False
-    true_parameters: dict[str, Parameter] = {}
-    gate: Annotated[Finite, Field(gt=0, lt=1)] | None = None
-    robust: RobustConfig | None = None
-    recovery: Annotated[float, Field(gt=0)] | None = None
-    allowed_silence: Positive | None = None
-    mount: MountConfig | None = None
-    std: dict[str, str] = {}
-    covariance: list[str] | None = None
-
-    def validation_errors(self) -> Iterator[str]:
-        """Unknown names, and keys that do not go together."""
-        wrong = list(model_errors(sensors, self.model, self.parameters))
-        yield from wrong
-        if wrong and wrong[0].startswith("model"):
-            return
-        for line in model_errors(sensors, self.model, self.parameters | self.true_parameters):
-            if line not in wrong:
-                yield line.replace("parameters.", "true_parameters.", 1)
-        cls = sensors.get(self.model)
-        parts = list(space_of(cls.measures).column_units)
-        for key in ("columns", "std"):
-            for name in getattr(self, key):
-                if name not in parts:
-                    yield f"{key}.{name}: {unknown('measurement component', name, parts)}"
-        if self.std and (absent := [part for part in parts if part not in self.std]):
-            yield f"std: found {list(self.std)}, expected a column for {absent} too"
-        size = space_of(cls.measures).size
-        if self.covariance is not None and len(self.covariance) != size * (size + 1) // 2:
-            yield (
-                f"covariance: found {len(self.covariance)} columns, expected the "
-                f"{size * (size + 1) // 2} of the upper triangle for {', '.join(parts)}"
-            )
-        if self.covariance is not None and self.std:
-            yield "covariance: found beside std, expected one of the two"
-        has_map = "target" in {field.name for field in dataclasses.fields(cls)}
-        if has_map and self.map is None:
-            yield f"map: this key is missing; sensor {self.model!r} needs a map of targets"
-        for key in () if has_map else ("map", "target", "ignore_targets"):
-            if getattr(self, key):
-                yield f"{key}: sensor {self.model!r} has no targets; leave this key out"
-
-
-class MapConfig(Strict):
-    """A map of targets, in SI units and ENU."""
-
-    ids: list[str]
-    columns: dict[str, list[Finite]]
-
-    def validation_errors(self) -> Iterator[str]:
-        """No target, columns of another length, targets that are listed twice."""
-        if not self.ids:
-            yield "ids: found no target, expected at least one"
-        for name, values in self.columns.items():
-            if len(values) != len(self.ids):
-                yield f"columns.{name}: found {len(values)} values, expected {len(self.ids)}"
-        if twice := sorted({name for name in self.ids if self.ids.count(name) > 1}):
-            yield f"ids: found {twice[0]!r} twice, expected each target once"
-
-
-class PriorConfig(Strict):
-    """What is believed at the start."""
-
-    from_truth: list[str] = []
-    source: str | None = None
-    """Where ``from_truth`` takes the start from, if not from the truth."""
-    mean: dict[str, Numbers] = {}
-    std: dict[str, Spreads] = {}
-    covariance: list[list[Finite]] | None = None
-
-
-class FilterConfig(Strict):
-    """The filter, with its parameters after a colon."""
-
-    name: str = "extended"
-
-    def validation_errors(self) -> Iterator[str]:
-        """What is wrong with the name."""
-        try:
-            build_filter(self.name)
-        except KedgeError as error:
-            yield f"name: {error}"
-
-
-class TruthConfig(Strict):
-    """What the truth of a log is compared with."""
-
-    own_frame: bool = False
-    """Its frame is not that of the map: it is moved onto the estimate before comparing."""
-
-
-class OutputConfig(Strict):
-    """When the estimate is written, in Hz."""
-
-    rate: Positive = 10.0
-
-
-class StandingConfig(Strict):
-    """Whose word it takes that a vehicle stands, and how still it must be over a window (s).
-
-    Both have to agree. A wheel alone says so when its encoder is dead or it is lifted, an IMU
-    alone when the vehicle glides at constant speed on a smooth floor.
-    """
-
-    imu: str = "imu"
-    wheel: str
-    column: str = "speed"
-    window: Positive = 1.0
-    speed: Positive = 0.01  # m/s
-    force_std: Positive = 0.1  # m/s^2
-    rate_std: Positive = 0.01  # rad/s
-    rate: Positive = 10.0  # Hz, of the readings that it makes
 
 
 class AbstractRigConfig(Strict):
@@ -192,9 +53,13 @@ class AbstractRigConfig(Strict):
     modules: list[str] = []
     """Python files with vehicles, sensors and filters of your own, relative to this file."""
     vehicle: VehicleConfig
+    """The motion model."""
     sensors: dict[str, SensorConfig] = {}
+    """The sensors, by name."""
     maps: dict[str, MapConfig] = {}
+    """Maps of targets, by name."""
     prior: PriorConfig = PriorConfig()
+    """What is believed at the start."""
     _origin: str = PrivateAttr("")
 
     @property
@@ -250,14 +115,23 @@ class RigConfig(AbstractRigConfig):
     """A vehicle, its sensors, where their readings stand in a log, and a filter."""
 
     title: str = ""
+    """What reports are called."""
     format: str = "folder"
+    """How the log is read: `kedge list readers`."""
     bag: BagConfig | None = None
+    """Which topic of a bag is what."""
     map_origin: OriginConfig | None = None
+    """Where the map's origin is, for logs of latitudes and longitudes."""
     truth: TruthConfig = TruthConfig()
+    """How the truth is compared with."""
     control: ControlConfig | None = None
+    """What drives the vehicle."""
     standing: StandingConfig | None = None
+    """How it is known that the vehicle stands."""
     filter: FilterConfig = FilterConfig()
+    """The filter."""
     output: OutputConfig = OutputConfig()
+    """When the estimate is written."""
 
     def control_errors(self, control: Any) -> Iterator[str]:
         """A control that is missing, or has components that the vehicle does not know."""

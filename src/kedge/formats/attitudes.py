@@ -27,10 +27,13 @@ class AttitudeConfig(Strict):
     """
 
     columns: list[str]
+    """Four of a quaternion, or three angles."""
     order: Literal["wxyz", "xyzw", "roll-pitch-heading"]
+    """What they are, in order."""
     unit: str = "rad"
     """Of the angles."""
     name: str = "attitude"
+    """What the attitude is called inside."""
 
     def validation_errors(self) -> Iterator[str]:
         """Another number of columns, a unit that is no angle's."""

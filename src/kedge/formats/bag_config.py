@@ -15,7 +15,9 @@ class FieldConfig(Strict):
     """A column: the way to it in a message (``pose.position.x``, ``cov[0]``), and its unit."""
 
     field: str
+    """The way to it in a message: pose.position.x, cov[0]."""
     unit: str
+    """Its unit."""
 
     def validation_errors(self) -> Iterator[str]:
         """An unknown unit."""
@@ -29,6 +31,7 @@ class TopicConfig(Strict):
     """One topic as a source, or as a map of targets."""
 
     topic: str
+    """As the bag calls it."""
     stamp: str = "header.stamp"
     """The way to the stamp, or "bag" for the time at which the message was recorded."""
     stamp_unit: str = "s"
@@ -40,6 +43,7 @@ class TopicConfig(Strict):
     target: str | None = None
     """The way to the name of the target, from the element if there is ``each``."""
     columns: dict[str, FieldConfig] = {}
+    """Column -> { field, unit }."""
 
     def validation_errors(self) -> Iterator[str]:
         """An unknown unit of time."""
@@ -51,8 +55,11 @@ class BagConfig(Strict):
     """Sources and maps by topic; ``truth`` names one of the sources."""
 
     topics: dict[str, TopicConfig]
+    """Sources by the name that the rig calls them."""
     maps: dict[str, TopicConfig] = {}
+    """Maps of targets, from the first message of a topic."""
     truth: str | None = None
+    """The source to compare with."""
     base: str = "base_link"
     """The body's frame, from which ``/tf_static`` tells where sensors sit; "" for none."""
 

@@ -5,23 +5,22 @@ with their units, and the frame: ``enu`` or ``ned``, see :mod:`kedge.formats.uni
 """
 
 import csv
-import datetime
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import model_validator
 
 from kedge.core.errors import DataError
-from kedge.core.registry import readers, unknown
-from kedge.formats.attitudes import AttitudeConfig, all_to_enu
+from kedge.core.registry import readers
+from kedge.formats.attitudes import all_to_enu
 from kedge.formats.bag_frames import Placed
-from kedge.formats.cells import NotFinite, read_cells
-from kedge.formats.origin import OriginConfig, unit_errors, with_status
+from kedge.formats.cells import read_cells
+from kedge.formats.log_config import Frame, LogConfig, MapSource, SourceConfig
+from kedge.formats.origin import with_status
 from kedge.formats.results_folder import fresh_folder
 from kedge.formats.tables import (
     Column,
@@ -31,11 +30,9 @@ from kedge.formats.tables import (
     require_finite,
     sorted_rows,
 )
-from kedge.formats.times import TIME_FORMS, TimeForm
-from kedge.formats.toml import Strict, quoted, read_toml
+from kedge.formats.times import TimeForm
+from kedge.formats.toml import quoted, read_toml
 from kedge.formats.units import unit_of
-
-Frame = Literal["enu", "ned"]
 
 
 class TargetMap(NamedTuple):
@@ -67,100 +64,6 @@ class RawLog(NamedTuple):
     vehicles that ask for them."""
     mounts: dict[str, Placed] = {}
     """By source, where on the body it was recorded, if the log tells."""
-
-
-class ColumnConfig(Strict):
-    """A column's unit in the file and, if it differs, its name inside."""
-
-    unit: str
-    name: str | None = None
-    missing: list[str | float] = []
-    """What says that a value is missing, beside an empty cell, nan, NA, null and -."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_unit(cls, value: Any) -> Any:
-        return {"unit": value} if isinstance(value, str) else value
-
-    def validation_errors(self) -> Iterator[str]:
-        """An unknown unit."""
-        try:
-            unit_of(self.unit)
-        except DataError as error:
-            yield f"unit: {error}"
-
-
-class SourceConfig(Strict):
-    """One CSV file."""
-
-    file: str | None = None
-    time: str = "time"
-    time_unit: str = "s"
-    date: datetime.date | None = None
-    """Of the first row, where the times are times of day."""
-    week: int | str | None = None
-    """The GPS week of week-seconds, or the column that it is in."""
-    order: Literal["strict", "sort"] = "strict"
-    """Whether rows out of order (by up to 5 s) are sorted, and identical ones dropped."""
-    columns: dict[str, ColumnConfig] = {}
-    attitude: AttitudeConfig | None = None
-    target: str | None = None
-    frame: Frame | None = None
-    not_finite: NotFinite = "error"
-
-    def validation_errors(self) -> Iterator[str]:
-        """An unknown unit of time, or two columns that get one name."""
-        if self.time_unit not in TIME_FORMS:
-            yield f"time_unit: {unknown('unit of time', self.time_unit, list(TIME_FORMS))}"
-        if self.time_unit == "week-seconds" and self.week is None:
-            yield "week: this key is missing; week-seconds need the GPS week or its column"
-        yield from _twice(self.columns)
-        yield from unit_errors({name: spec.unit for name, spec in self.columns.items()})
-
-
-class MapSource(Strict):
-    """A map: inline (``ids`` and ``values``), or a CSV file."""
-
-    file: str | None = None
-    id: str = "id"
-    ids: list[str] | None = None
-    values: dict[str, list[float]] = {}
-    columns: dict[str, ColumnConfig]
-    frame: Frame | None = None
-
-    def validation_errors(self) -> Iterator[str]:
-        """Neither or both kinds, values of another length."""
-        yield from _twice(self.columns)
-        if (self.ids is None) == (self.file is None):
-            yield "ids: expected either ids with values, or a file"
-        for name in self.columns if self.ids is not None else ():
-            if len(self.values.get(name, ())) != len(self.ids or ()):
-                count = len(self.values.get(name, ()))
-                yield f"values.{name}: found {count} numbers, expected {len(self.ids or ())}"
-
-
-class LogConfig(Strict):
-    """``log.toml``."""
-
-    title: str = ""
-    epoch: str = ""
-    frame: Frame = "enu"
-    truth: str | None = None
-    origin: OriginConfig | Literal["first"] = "first"
-    """Of the map, for columns called latitude and longitude."""
-    sources: dict[str, SourceConfig]
-    maps: dict[str, MapSource] = {}
-
-    def validation_errors(self) -> Iterator[str]:
-        """A truth that is no source."""
-        if self.truth is not None and self.truth not in self.sources:
-            yield f"truth: {unknown('source', self.truth, list(self.sources))}"
-
-
-def _twice(columns: Mapping[str, ColumnConfig]) -> Iterator[str]:
-    names = [spec.name or column for column, spec in columns.items()]
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        yield f"columns: two columns get the name {name!r}"
 
 
 @readers.add("folder")

@@ -22,8 +22,11 @@ class OriginConfig(Strict):
     """Where the map's origin is: degrees north and east, and m over the ellipsoid."""
 
     latitude: Annotated[float, Field(ge=-90, le=90)]
+    """deg, to the north."""
     longitude: Annotated[float, Field(ge=-180, le=180)]
+    """deg, to the east."""
     height: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    """m over the ellipsoid."""
 
     @property
     def place(self) -> dict[str, float]:

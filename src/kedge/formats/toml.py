@@ -50,7 +50,9 @@ def quoted(text: str) -> str:
 class Strict(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True
+    )
 
     def validation_errors(self) -> Iterator[str]:
         """What is wrong beyond types, each as ``key: message``."""
