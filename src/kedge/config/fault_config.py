@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from kedge.config.models import Parameter, build_model, model_errors
-from kedge.config.rigs import Finite, Positive
+from kedge.config.motion import Finite, Positive
 from kedge.core.errors import ContractError
 from kedge.core.registry import faults
 from kedge.formats.toml import Strict

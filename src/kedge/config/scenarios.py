@@ -16,14 +16,8 @@ from kedge.config.building import (
 from kedge.config.fault_config import FaultConfig, Span
 from kedge.config.filters import build_filter
 from kedge.config.models import Parameter, build_model, model_errors
-from kedge.config.rigs import (
-    AbstractRigConfig,
-    Finite,
-    Positive,
-    VehicleConfig,
-    load_config,
-    shipped,
-)
+from kedge.config.motion import Finite, Positive, VehicleConfig
+from kedge.config.rigs import AbstractRigConfig, load_config, shipped
 from kedge.core.conditions import parse_condition, parse_term
 from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ContractError, KedgeError
