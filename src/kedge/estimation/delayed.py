@@ -82,10 +82,10 @@ class Window:
 
     def too_late(self, time: float) -> bool:
         """Whether an event of that time can be taken in no more."""
+        if time < max(self.newest.time - self.lag, self.origin.time):
+            return True
         state = self.origin.filter
-        counts = state.predictions + state.readings
-        begun = time <= self.origin.time and counts > 0
-        return bool(begun) or time < max(self.newest.time - self.lag, self.origin.time)
+        return time <= self.origin.time and int(state.predictions) + int(state.readings) > 0
 
     def place(self, event: Event) -> int:
         """Where an event belongs: behind all that come before it or at its turn."""

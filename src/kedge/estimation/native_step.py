@@ -15,6 +15,8 @@ from kedge.estimation.rig import Rig
 from kedge.estimation.step import FilterState
 
 NO_EVENT = -1
+ENDLESS = 2**62
+"""Events to come: so many that a long program is worth its compilation."""
 
 
 class NativeStep:
@@ -52,7 +54,7 @@ class NativeStep:
         log = Log(Schedule(time, sensor, row), controls, readings)
         compiled = compiled_pass(
             self._filter, self._rig, jax.tree.map(jax.numpy.asarray, log), self._history,
-            self._engine,
+            self._engine, work=ENDLESS,
         )  # fmt: skip
         return (
             None

@@ -1,6 +1,7 @@
 """Online estimation: the same step, one event at a time, behind a small stateful object."""
 
 import math
+import threading
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -8,16 +9,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
-from kedge.core.errors import DataError
+from kedge.core.errors import ContractError, DataError
 from kedge.core.verdicts import Verdict
+from kedge.estimation.admission import Admission, is_finite, numbers, seconds
 from kedge.estimation.clipping import beyond
 from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Entry, Event, State, Window
-from kedge.estimation.log import Log, Readings
+from kedge.estimation.log import Log
 from kedge.estimation.native_step import NativeStep
 from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.smoother import backward
@@ -31,7 +33,8 @@ from kedge.estimation.step import (
 )
 from kedge.estimation.transition import is_smoothable, require_smoothable
 
-FLOAT = jax.dtypes.canonicalize_dtype(float)
+DAY = 86_400.0
+"""s after its start beyond which the first event of an estimator is none of its clock."""
 
 
 class Answer(NamedTuple):
@@ -42,17 +45,20 @@ class Answer(NamedTuple):
     outcome: Outcome
     replayed: int = 0
     """How many events were done again, since this one came late."""
+    control: Verdict = Verdict.NONE
+    """What became of the control: FUSED if it holds from now on."""
 
     @property
     def verdict(self) -> Verdict:
-        """What became of the reading."""
+        """What became of the reading, or why the whole event changed nothing."""
         return Verdict(int(self.outcome.verdict))
 
 
 class Estimator:
     """Feed events as they come; read the belief at any moment.
 
-    A control holds from its time on; until the first, ``control`` does, or nothing.
+    A control holds from its time on; until the first, ``control`` does, or nothing. One that
+    is not finite does not hold: the one before does.
 
     A sensor of which nothing is fused for longer than its ``allowed_silence`` makes the
     estimate ``degraded``; it goes on by what the others and the vehicle's motion tell.
@@ -62,6 +68,13 @@ class Estimator:
     all came in time. What is older changes nothing and gets the verdict LATE. A message that
     comes twice gets DUPLICATE; one stamped more than ``horizon`` seconds ahead gets FUTURE,
     since it would make everything after it late. At most ``capacity`` events are remembered.
+
+    Times are seconds of any clock; ``start`` is the prior's, 0 unless it is given. An estimator
+    belongs to the thread of its first event.
+
+    Raises:
+        DataError: a setting or the first control is of no use.
+        ContractError: the control is that of another vehicle.
     """
 
     def __init__(
@@ -69,7 +82,7 @@ class Estimator:
         filter: AbstractFilter,
         rig: Rig,
         key: PRNGKeyArray | None = None,
-        start: float = 0.0,
+        start: float | None = None,
         control: Any = None,
         lag: float = 0.0,
         horizon: float = math.inf,
@@ -89,7 +102,8 @@ class Estimator:
         # An attribute of a module costs as much as an event.
         self._names = rig.names
         self._ranks = {name: rank for rank, name in enumerate(self._names)}
-        self._horizon, self._start = horizon, float(start)
+        self._horizon, self._start = horizon, 0.0 if start is None else seconds(start)
+        self._knows_start, self._thread = start is not None, 0
         self._vehicle, self._longest = rig.vehicle, rig.vehicle.longest_step()
         # By rank: the silence that is allowed, and when the sensor was last heard.
         silences = {rank: one.allowed_silence for rank, one in enumerate(rig.sensors)}
@@ -99,12 +113,17 @@ class Estimator:
         self.clipped: dict[str, int] = {}
         """How often a component of the control was told beyond its limit; it acts as that."""
         still = jax.tree.map(np.zeros_like, _floats(rig.vehicle.nominal_control(0.0)))
-        held = still if control is None else _floats(control)
+        self._admission = Admission(rig, still)
+        held = still if control is None else self._admission.control(control)
+        if not is_finite(held):
+            raise DataError(f"the control: found {control}, expected finite numbers")
         state = _begin(self._filter, self._rig, self._key, self._start)
         self._native = NativeStep(
             self._filter, self._rig, held, lag > 0 and is_smoothable(self._filter), engine
         )
         self._window = Window(State(state, self._start, held), lag, capacity)
+        self._silence: Outcome = jax.tree.map(np.asarray, silence(self._width))
+        self._known: tuple[Any, Any] = None, None
 
     @property
     def belief(self) -> Any:
@@ -137,45 +156,69 @@ class Estimator:
         measurement: Any = None,
         *,
         control: Any = None,
-        target: int | Int[Array, ""] = 0,
+        target: Any = 0,
         cov: Any = None,
         sequence: int = 0,
     ) -> Answer:
         """Advance to ``time`` in s, use a reading if one is given, then hold a new control.
 
+        ``target`` is a row of the sensor's map, ``cov`` the covariance of this one reading.
         ``sequence`` orders readings of one sensor at one time that may arrive in any order.
 
         Raises:
-            DataError: the time is not finite.
-            ContractError: the rig has no such sensor, or the step is longer than the vehicle's
-                stays stable: tell it of times in between.
+            DataError: the time is not finite, or the first one is far from ``start``; something
+                holds no numbers, or those of another shape.
+            ContractError: the rig has no such sensor, a reading or control is of another
+                class, or the step is longer than the vehicle's stays stable: tell it of times
+                in between. Another thread has pushed before.
         """
-        if not math.isfinite(time):
-            raise DataError(f"event time is {time}; expected seconds since the start")
+        self._belongs_here()
+        time = seconds(time)
         rank = len(self._ranks) if control is None else -1
         reading = None
         if sensor is not None:
             known = self._ranks.get(sensor)
             rank = self._rig.index(sensor) if known is None else known
-            which: Any = np.asarray(target)
-            spread = None if cov is None else _floats(cov)
-            reading = Readings(_floats(measurement), which, spread)
-        held = None if control is None else _floats(control)
-        event = Event(float(time), rank, sequence, reading, held)
+            reading = self._admission.reading(rank, measurement, target, cov)
+        held = None if control is None else self._admission.control(control)
+        taken = Verdict.NONE if held is None else Verdict.FUSED
+        if held is not None and not is_finite(held):
+            held, taken = None, Verdict.NOT_FINITE
+        event = Event(time, rank, sequence, reading, held)
+        if not self._knows_start:
+            self._check_clock(time)
         if time - self.time > self._horizon:
-            return self._unchanged(event, Verdict.FUTURE)
+            return self._unchanged(Verdict.FUTURE, taken)
         if self._window.too_late(time):
-            return self._unchanged(event, Verdict.LATE)
+            return self._unchanged(Verdict.LATE, taken)
         if self._window.holds(event):
-            return self._unchanged(event, Verdict.DUPLICATE)
+            return self._unchanged(Verdict.DUPLICATE, taken)
         if time - self.time > self._longest:
             what = f"event at {time:g} s: the step since the event before"
             check_step(self._vehicle, time - self.time, what)
-        answer = self._take(event)
+        answer = self._take(event, taken)
         if held is not None and self._limits is not None:
             for label in beyond(held, self._limits):
                 self.clipped[label] = self.clipped.get(label, 0) + 1
         return answer
+
+    def peek(self, time: float) -> Gaussian:
+        """What it will believe at ``time`` if nothing comes until then; nothing changes.
+
+        Raises:
+            DataError: the time is not finite, or before that of the newest event.
+            ContractError: another thread pushes.
+        """
+        self._belongs_here()
+        time = seconds(time)
+        if time < self.time:
+            raise DataError(
+                f"peek at {time:g} s: the newest event is at {self.time:g} s already"
+            )
+        entry = self._next(self._window.newest, Event(time, len(self._ranks), 0))
+        if entry.moments is not None:
+            return entry.moments
+        return _moments(entry.after.filter.belief)
 
     def smoothed(self) -> list[tuple[float, Gaussian]]:
         """The estimates of the window in the light of all its readings: a fixed-lag smoother.
@@ -199,7 +242,34 @@ class Estimator:
             later = entry.record
         return beliefs[::-1]
 
-    def _take(self, event: Event) -> Answer:
+    def _belongs_here(self) -> None:
+        """Refuse a second thread, which would write where the first one reads.
+
+        Raises:
+            ContractError: the events came from another thread so far.
+        """
+        if (thread := threading.get_ident()) != self._thread:
+            if self._thread:
+                raise ContractError(
+                    "an estimator belongs to the thread of its first event: push to it from "
+                    "there, by a queue, or make one for each thread"
+                )
+            self._thread = thread
+
+    def _check_clock(self, time: float) -> None:
+        """Refuse a first event that is of another clock than the start.
+
+        Raises:
+            DataError: it is more than a day away.
+        """
+        if abs(time - self._start) > DAY:
+            raise DataError(
+                f"the first event is at {time:.10g} s, but the estimator starts at 0 s: give "
+                "the time of its prior, as start="
+            )
+        self._knows_start = True
+
+    def _take(self, event: Event, control: Verdict) -> Answer:
         place = self._window.place(event)
         state, entries = self._window.before(place), []
         for one in (event, *(entry.event for entry in self._window.entries[place:])):
@@ -208,9 +278,7 @@ class Estimator:
         # Only now, so that an event that raises has changed nothing.
         self._window.replace(place, entries)
         self._hear(entries)
-        newest = self._window.entries[-1].moments
-        moments = _moments(self.belief) if newest is None else newest
-        return Answer(moments, entries[0].outcome, len(entries) - 1)
+        return Answer(self._moments(), entries[0].outcome, len(entries) - 1, control)
 
     def _hear(self, entries: list[Entry]) -> None:
         """Remember when something was last fused of the sensors that must not fall silent."""
@@ -240,10 +308,20 @@ class Estimator:
         control = state.control if event.control is None else event.control
         return Entry(event, State(after, event.time, control), outcome, record)
 
-    def _unchanged(self, event: Event, verdict: Verdict) -> Answer:
-        recorded = verdict if event.reading is not None else Verdict.NONE
-        outcome = silence(self._width)._replace(verdict=jnp.asarray(recorded))
-        return Answer(_moments(self.belief), outcome)
+    def _moments(self) -> Gaussian:
+        """The newest estimate, computed once."""
+        entries = self._window.entries
+        if entries and entries[-1].moments is not None:
+            return entries[-1].moments
+        if (belief := self.belief) is not self._known[0]:
+            self._known = belief, _moments(belief)
+        return self._known[1]
+
+    def _unchanged(self, verdict: Verdict, control: Verdict) -> Answer:
+        # By NumPy alone: to refuse is not to cost more than to fuse.
+        outcome = self._silence._replace(verdict=np.asarray(int(verdict)))
+        refused = Verdict.NONE if control == Verdict.NONE else verdict
+        return Answer(self._moments(), outcome, 0, refused)
 
 
 def replay(estimator: Estimator, log: Log) -> Iterator[Answer]:
@@ -283,8 +361,7 @@ _EXPECTED = {
 
 
 def _floats(tree: Any) -> Any:
-    """Arrays of one type, whatever type of number a driver has at hand."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf, FLOAT), tree)
+    return jax.tree.map(lambda leaf: numbers("the control", leaf, np.shape(leaf)), tree)
 
 
 # Compiled, because an operation that is not costs as much as an event.
