@@ -6,6 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 from mcap.writer import Writer
+from scipy.spatial.transform import Rotation
 
 from kedge.apps.first_rig import is_planar
 from kedge.apps.init import init, show
@@ -53,6 +54,24 @@ def test_a_folder_gets_a_log_and_a_rig_that_run(log):
     assert "notes.txt was left out" in (log / "log.toml").read_text()
     end = np.asarray(problem.truth.fields["position"])[-1]
     np.testing.assert_allclose(end, [X[-1], Y[-1]], atol=1e-3)
+
+
+def test_an_attitude_of_three_angles_in_ned(tmp_path):
+    """What a reference under water tells: degrees on earth, the compass, roll, pitch, yaw."""
+    angles = {"Roll [rad]": 0 * X, "Pitch [rad]": 0 * X + 0.1, "Yaw [rad]": np.pi / 2 - HEADING}
+    speeds = {"V North": 0 * X, "V East": 0 * X, "V Down": 0 * X}
+    place = {"lat": 32 + Y / 111_000, "lon": 34 + X / 94_000, "alt": 0 * X - 10}
+    write(tmp_path, "GT.csv", time=TIME, **place, **speeds, **angles)
+    write(tmp_path, "dvl.csv", time=TIME, **{f"DVL {axis}": 1.0 + 0 * X for axis in "XYZ"})
+    _, missing = init(tmp_path, None)
+    assert missing == ""
+    problem = load_problem(str(tmp_path / "rig.toml"), str(tmp_path))
+    assert problem.rig.names == ("dvl",)
+    turn = np.asarray(problem.truth.fields["attitude"])[-1]
+    nose = Rotation.from_quat(turn[[1, 2, 3, 0]]).apply([1.0, 0, 0])
+    up = np.sin(0.1)  # a pitch of 0.1 rad in NED is nose up
+    ahead = np.cos(0.1) * np.array([np.cos(HEADING[-1]), np.sin(HEADING[-1])])
+    np.testing.assert_allclose(nose, [*ahead, up], atol=1e-4)
 
 
 def test_what_is_there_is_not_written_over(log):

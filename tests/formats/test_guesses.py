@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kedge.formats.guesses import guess, time_unit, weighed
+from kedge.formats.guesses import compassed, guess, time_unit, weighed
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,17 @@ def test_gravity_tells_forces_in_g():
 )
 def test_times_are_of_today(header, time, unit):
     assert time_unit(header, np.array([time, time])) == unit
+
+
+@pytest.mark.parametrize(
+    ("third", "axes"),
+    [("V Down [m/s]", {"North": "x", "East": "y"}), ("vel_up", {"North": "y"})],
+)
+def test_the_points_of_the_compass_are_axes_of_one_frame(third, axes):
+    """North is x where down is z, and y where up is z."""
+    headers = ["V North [m/s]", "V East [m/s]", third]
+    columns, ned = compassed({h: guess(h, np.zeros(3)) for h in headers})
+    assert ned is ("Down" in third)
+    assert columns[third].name == "velocity_z"
+    for point, axis in axes.items():
+        assert columns[f"V {point} [m/s]"].name == f"velocity_{axis}"

@@ -8,7 +8,6 @@ from kedge.config.rigs import RigConfig, load_rig_config
 from kedge.core.errors import DataError, KedgeError
 from kedge.formats.atomic import replace_file
 from kedge.formats.bag_config import BagConfig
-from kedge.formats.logs import read_folder
 from kedge.formats.readers import read_log
 from kedge.formats.results import as_toml
 from kedge.formats.sketch_bag import bag_text, sketch_bag
@@ -61,7 +60,7 @@ def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
         if LOG in names:
             replace_file(out / LOG, log_text(sketch_folder(log, out), log.name).encode())
         try:
-            raw = read_folder(out if LOG in names else log)
+            raw = read_log(str(out if LOG in names else log))
         except DataError:
             if LOG in names:
                 (out / LOG).rename(out / f"{LOG}.draft")

@@ -38,6 +38,9 @@ RULES: tuple[tuple[str, str, str], ...] = tuple(
         (rf"{_ALL}(dvl|velocity_body|v_body|body_velocity){_AXIS}", "velocity_body_{}", "m/s"),
         (rf"{_ALL}twist_linear_x$", "speed", "m/s"),
         (rf"{_ALL}twist_linear_y$", "sideways", "m/s"),
+        (rf"{_ALL}(velocity|vel|v)_?north$", "velocity_north", "m/s"),
+        (rf"{_ALL}(velocity|vel|v)_?east$", "velocity_east", "m/s"),
+        (rf"{_ALL}(velocity|vel|v)_?(down|up)$", "velocity_{}", "m/s"),
         (rf"{_ALL}(velocity|vel|v){_AXIS}", "velocity_{}", "m/s"),
         (rf"{_ALL}(left|left_speed|speed_left|v_?l)$", "left", "m/s"),
         (rf"{_ALL}(right|right_speed|speed_right|v_?r)$", "right", "m/s"),
@@ -45,6 +48,7 @@ RULES: tuple[tuple[str, str, str], ...] = tuple(
         (rf"{_ALL}(speed|velocity|vel|v)$", "speed", "m/s"),
         (rf"{_ALL}(omega|w)$", "yaw_rate", "rad/s"),
         (rf"{_ALL}(heading|yaw|psi|theta|heading_degrees)$", "heading", "rad"),
+        (rf"{_ALL}(roll|pitch)$", "{}", "rad"),
         (rf"{_ALL}bearing$", "bearing", "rad"),
         (rf"{_ALL}(range|dist|distance|distancefromtag)$", "range", "m"),
         (rf"(\w+_)?(p|pos|position|translation|point|p_rs_r){_AXIS}", "position_{}", "m"),
@@ -107,6 +111,24 @@ def _unit(header: str, si: str, values: Float[np.ndarray, " n"] | None) -> tuple
     if si in STARTS and largest > STARTS[si][1]:
         return STARTS[si][0], f"up to {largest:.4g}: too large for {si}"
     return si, f"unit not said; up to {largest:.4g}"
+
+
+COMPASS = {
+    True: {"north": "x", "east": "y", "down": "z"},
+    False: {"east": "x", "north": "y", "up": "z"},
+}
+"""The axes of velocities by the points of the compass, in NED and in ENU."""
+
+
+def compassed(columns: dict[str, Guess]) -> tuple[dict[str, Guess], bool]:
+    """The guesses with axes for the points of the compass; whether the frame is NED."""
+    ned = any(found.name == "velocity_down" for found in columns.values())
+    turned = {}
+    for column, found in columns.items():
+        stem, _, point = found.name.rpartition("_")
+        axis = COMPASS[ned].get(point) if stem == "velocity" else None
+        turned[column] = found._replace(name=f"velocity_{axis}") if axis else found
+    return turned, ned
 
 
 def weighed(

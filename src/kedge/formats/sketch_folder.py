@@ -10,7 +10,16 @@ from jaxtyping import Float
 
 from kedge.core.errors import DataError
 from kedge.formats.cells import Cells, read_cells
-from kedge.formats.guesses import TARGET, TIME, Guess, guess, plain, time_unit, weighed
+from kedge.formats.guesses import (
+    TARGET,
+    TIME,
+    Guess,
+    compassed,
+    guess,
+    plain,
+    time_unit,
+    weighed,
+)
 from kedge.formats.tables import build_table, check_order
 from kedge.formats.toml import quoted
 
@@ -18,6 +27,7 @@ ENDINGS = (".csv", ".csv.gz", ".tsv", ".txt", ".txt.gz")
 TRUTH = re.compile(
     r"(^|_)(gt|truth|ground_?truth|reference|ref|mocap|vicon|trajectory|rtk)($|_)"
 )
+ANGLES = ("roll", "pitch", "heading")
 SAMPLE = 2000
 """Rows that a guess is made from."""
 
@@ -31,6 +41,9 @@ class SketchedSource(NamedTuple):
     time_unit: str
     target: str | None
     columns: dict[str, Guess]
+    attitude: tuple[str, ...]
+    """The columns of roll, pitch and heading, in this order; none without all three."""
+    ned: bool
     unknown: tuple[str, ...]
     places: dict[str, dict[str, float]]
     """Where each target is, if the readings tell it."""
@@ -87,6 +100,9 @@ def _sketched(path: Path, file: str) -> SketchedSource:
             guesses[found.name] = column, found
     columns = dict(guesses.values())
     columns = weighed(columns, {c: v for c in columns if (v := numbers[c]) is not None})
+    columns, ned = compassed(columns)
+    angles = {found.name: column for column, found in columns.items()}
+    attitude = tuple(angles[name] for name in ANGLES) if angles.keys() >= {*ANGLES} else ()
     unknown = [c for c in numbers if c not in columns and c not in (times[0], *targets[-1:])]
     measured = {found.name for found in columns.values()}
     target = targets[-1] if targets and measured & {"range", "bearing"} else None
@@ -105,6 +121,8 @@ def _sketched(path: Path, file: str) -> SketchedSource:
         unit,
         target,
         columns,
+        attitude,
+        ned,
         tuple(unknown),
         places,
     )
@@ -141,8 +159,16 @@ def log_text(log: SketchedLog, title: str) -> str:
         lines += [f"time = {quoted(source.time)}"]
         lines += [f'time_unit = "{source.time_unit}"  # by how large the numbers are']
         lines += [f"target = {quoted(source.target)}"] if source.target else []
+        lines += ['frame = "ned"  # a velocity is told downwards'] if source.ned else []
+        if source.attitude:
+            names = ", ".join(map(quoted, source.attitude))
+            unit = source.columns[source.attitude[0]].unit
+            order = f'order = "roll-pitch-heading", unit = "{unit}"'
+            lines.append(f"attitude = {{ columns = [{names}], {order} }}")
         lines += ["", f"[sources.{source.name}.columns]"] if source.columns else []
         for column, found in source.columns.items():
+            if column in source.attitude:
+                continue
             what = f'{{ unit = "{found.unit}", name = "{found.name}" }}'
             lines.append(f"{quoted(column)} = {what}  # {found.why}")
         if source.unknown:
