@@ -53,8 +53,9 @@ def test_estimate_csv_holds_the_outputs_with_exact_stamps(done):
         rows = list(csv.DictReader(file))
     assert len(rows) == 100
     assert [int(row["stamp_ns"]) for row in rows[:3]] == [200_000_000, 400_000_000, 600_000_000]
+    assert [float(row["time_s"]) for row in rows[:3]] == [0.2, 0.4, 0.6]
     assert set(rows[0]) == {
-        "stamp_ns", "position_x", "position_y", "heading",
+        "stamp_ns", "time_s", "position_x", "position_y", "heading",
         "position_x_std", "position_y_std", "heading_std",
     }  # fmt: skip
     tum = (folder / "estimate_extended.tum").read_text().splitlines()

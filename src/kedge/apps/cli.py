@@ -119,6 +119,9 @@ def compare(
     filters: Annotated[
         str, typer.Option(help="Names with commas between; NAME+smoother smooths.")
     ] = "dead-reckoning,extended,unscented,extended+smoother",
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Smooth every filter that can be.")
+    ] = False,
     truth: Truth = "auto",
     until: Until = None,
     seed: Seed = 0,
@@ -128,10 +131,11 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Several filters over one recorded log."""
-    from kedge.apps.workflow import execute, load
+    from kedge.apps.workflow import execute, load, with_smoothers
     from kedge.config.filters import split_names
 
     conditions, names = parse_requirements(require_ or []), split_names(filters)
+    names = with_smoothers(names) if smooth else names
     problem = load(rig, log, truth, until, set_)
     check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
     summary = execute(problem, names, out, "compare", seed, report)

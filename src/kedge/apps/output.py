@@ -32,7 +32,9 @@ def write_results(
         track = run.track
         at = problem.recording.outputs
         moments = jax.tree.map(lambda leaf, at=at: np.asarray(leaf)[at], run.estimates.moments)
-        write_estimate(folder / f"estimate{suffix}.csv", track.stamps, moments)
+        write_estimate(
+            folder / f"estimate{suffix}.csv", track.stamps, moments, problem.recording.start
+        )
         if hasattr(track.mean, "position"):
             turn = getattr(track.mean, "heading", getattr(track.mean, "attitude", None))
             write_tum(folder / f"estimate{suffix}.tum", track.stamps, track.mean.position, turn)

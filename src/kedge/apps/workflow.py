@@ -20,6 +20,7 @@ from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.smoother import compile_smoother
+from kedge.estimation.transition import is_smoothable
 from kedge.evaluation.score import Run, in_the_map, score
 from kedge.evaluation.scores import LogSummary, Provenance
 from kedge.formats.results import as_toml, digest
@@ -117,6 +118,13 @@ def run_filters(
         scores = replace(run.scores, seconds=seconds, microseconds_per_event=each)
         runs.append(run._replace(scores=replace(scores, digest=_result_digest(run))))
     return _against_baseline(runs)
+
+
+def with_smoothers(names: Sequence[str]) -> list[str]:
+    """The filters, and behind them the smoothed passes of those that can be smoothed."""
+    plain = [name for name in names if not name.endswith(SMOOTHER)]
+    smoothed = [f"{name}{SMOOTHER}" for name in plain if is_smoothable(build_filter(name))]
+    return list(dict.fromkeys([*names, *smoothed]))
 
 
 def summarise(problem: Problem, runs: Sequence[Run], command: str, seed: int) -> LogSummary:

@@ -5,7 +5,7 @@ Protobuf or JSON. Both come with ``pip install 'kedge-nav[ros]'``.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -32,6 +32,12 @@ class Bag(NamedTuple):
     """Topic -> name of its type."""
     messages: Callable[[set[str]], Iterator[Message]]
     """Messages of some topics, in the order of their recording."""
+    notes: tuple[str, ...] = ()
+    """What is missing of it."""
+
+
+MAGIC = b"\x89MCAP0\r\n"
+"""What an MCAP file begins with, and ends with if it was closed."""
 
 
 @contextmanager
@@ -47,6 +53,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
         try:
             if path.suffix == ".mcap":
                 bag = _mcap(path, stack)
+            elif path.is_dir() and not (path / "metadata.yaml").exists():
+                bag = _parts(path, stack)
             else:
                 bag = _ros(path, stack)
         except ImportError:
@@ -88,34 +96,114 @@ def _mcap(path: Path, stack: ExitStack) -> Bag:
         file = stack.enter_context(path.open("rb"))
         # No record is longer than the file, whatever it says of itself.
         most = path.stat().st_size
+        if file.read(len(MAGIC)) != MAGIC:
+            raise DataError(
+                f"{path}: cannot be read as MCAP: its first bytes are another format's"
+            )
+        file.seek(max(most - len(MAGIC), 0))
+        if most < 2 * len(MAGIC) or file.read() != MAGIC:
+            return _unclosed(path, stack)
+        file.seek(0)
         reader = SeekingReader(file, validate_crcs=True, record_size_limit=most)
         summary = reader.get_summary()
+    except (DataError, ImportError):
+        raise
     except Exception as error:
         raise _unreadable(path, "MCAP", error) from error
     if summary is None:
-        raise DataError(
-            f"{path}: the MCAP file has no summary: it was not closed properly; "
-            "'mcap recover' writes what is whole of it into a new file"
-        )
-    schemas = summary.schemas
-    kinds = {
-        channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else "?"
-        for channel in summary.channels.values()
-    }
-    decoders: dict[int, Callable[[bytes], Any]] = {}
+        return _unclosed(path, stack)
+    kinds = _kinds(summary.channels, summary.schemas)
 
     def messages(wanted: set[str]) -> Iterator[Message]:
-        found = reader.iter_messages(topics=sorted(wanted))
-        for schema, channel, message in _guarded(path, "MCAP", found):
-
-            def decode(schema=schema, channel=channel, message=message) -> Any:
-                if channel.id not in decoders:
-                    decoders[channel.id] = _decoder(channel.message_encoding, schema, message)
-                return decoders[channel.id](message.data)
-
-            yield Message(channel.topic, kinds[channel.topic], message.log_time, decode)
+        yield from _decoded(
+            _guarded(path, "MCAP", reader.iter_messages(topics=sorted(wanted))), kinds
+        )
 
     return Bag(kinds, messages)
+
+
+def _unclosed(path: Path, stack: ExitStack) -> Bag:
+    """What is whole of an MCAP file that was not closed: all up to where it ends or is damaged.
+
+    Raises:
+        DataError: no message is.
+    """
+    from mcap.records import Channel, Schema
+    from mcap.records import Message as Record
+    from mcap.stream_reader import StreamReader
+
+    file = stack.enter_context(path.open("rb"))
+    records = StreamReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    whole: list[tuple[Any, Any, Any]] = []
+    try:
+        for record in records.records:
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Record):
+                channel = channels[record.channel_id]
+                whole.append((schemas.get(channel.schema_id), channel, record))
+    except Exception as error:  # whatever ends it: what came before is whole
+        if not whole:
+            raise _unreadable(path, "MCAP", error, 0) from error
+    kinds = _kinds(channels, schemas)
+    whole.sort(key=lambda triple: triple[2].log_time)
+
+    def messages(wanted: set[str]) -> Iterator[Message]:
+        yield from _decoded((one for one in whole if one[1].topic in wanted), kinds)
+
+    seconds = (whole[-1][2].log_time - whole[0][2].log_time) / 1e9 if whole else 0.0
+    note = (
+        f"{path.name}: it was not closed; {len(whole)} messages, of {seconds:.1f} s, "
+        "are whole and were read"
+    )
+    return Bag(kinds, messages, (note,))
+
+
+def _parts(folder: Path, stack: ExitStack) -> Bag:
+    """The MCAP files of a ROS 2 folder without metadata, by their names.
+
+    Raises:
+        DataError: there are none.
+    """
+    bags = [_mcap(file, stack) for file in sorted(folder.glob("*.mcap"))]
+    if not bags:
+        raise DataError(
+            f"{folder}: found neither metadata.yaml nor .mcap files, expected a ROS 2 bag; "
+            "'ros2 bag reindex' writes the metadata of .db3 files"
+        )
+
+    def messages(wanted: set[str]) -> Iterator[Message]:
+        for bag in bags:
+            yield from bag.messages(wanted)
+
+    topics = {topic: kind for bag in bags for topic, kind in bag.topics.items()}
+    notes = [f"{folder.name}: no metadata.yaml; its {len(bags)} MCAP files were read by name"]
+    return Bag(topics, messages, (*notes, *(note for bag in bags for note in bag.notes)))
+
+
+def _kinds(channels: dict[int, Any], schemas: dict[int, Any]) -> dict[str, str]:
+    return {
+        channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else "?"
+        for channel in channels.values()
+    }
+
+
+def _decoded(
+    records: Iterable[tuple[Any, Any, Any]], kinds: dict[str, str]
+) -> Iterator[Message]:
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    for schema, channel, message in records:
+
+        def decode(schema=schema, channel=channel, message=message) -> Any:
+            if channel.id not in decoders:
+                decoders[channel.id] = _decoder(channel.message_encoding, schema, message)
+            return decoders[channel.id](message.data)
+
+        yield Message(channel.topic, kinds[channel.topic], message.log_time, decode)
 
 
 def _unreadable(path: Path, kind: str, error: Exception, count: int | None = None) -> DataError:

@@ -12,7 +12,6 @@ columns = { range = { field = "distance", unit = "m" } }
 import contextlib
 import re
 from collections.abc import Sequence
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,8 @@ from kedge.formats.bag_messages import Bag, Message, open_bag
 from kedge.formats.bag_turns import ANGLES, ATTITUDE, parts_of, quaternion_in, turn_of
 from kedge.formats.logs import RawLog, TargetMap, checked_map
 from kedge.formats.tables import MOST_DISORDER, Table, in_order, table_of
-from kedge.formats.units import TIME_UNITS, nanoseconds, unit_of
+from kedge.formats.times import TimeForm
+from kedge.formats.units import unit_of
 
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -129,7 +129,7 @@ def read_bag(path: Path, part: str | None, config: BagConfig | None) -> RawLog:
             'base = "" in [bag] leaves them alone'
         ) from error
     mounts = {n: frames[r.frame] for n, r in gathered.items() if r.frame in frames}
-    notes: list[str] = []
+    notes = list(bag.notes)
     tables = {name: _table(path, name, gathered[name], notes) for name in config.topics}
     truth = tables.pop(config.truth) if config.truth is not None else None
     maps = {name: _map(path, gathered[f"map {name}"]) for name in config.maps}
@@ -238,7 +238,7 @@ def _stamp(content: Any, spec: TopicConfig, place: str) -> int:
     value = _find(content, spec.stamp, place)
     if isinstance(value, int | float | str | np.number):
         try:
-            return nanoseconds(Decimal(str(value)), TIME_UNITS[spec.stamp_unit])
+            return TimeForm(spec.stamp_unit).parse(str(value))
         except (ValueError, ArithmeticError):
             raise DataError(
                 f"{place}: {spec.stamp!r}: found {value!r}, expected a time"

@@ -19,10 +19,15 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.step import Outcome
 
 
-def write_estimate(path: Path, stamps: Int[np.ndarray, " K"], moments: Gaussian) -> None:
-    """One row a time: stamp, the state's components, their standard deviations (tangent)."""
+def write_estimate(
+    path: Path, stamps: Int[np.ndarray, " K"], moments: Gaussian, start: int
+) -> None:
+    """One row a time: stamp, s since ``start`` (ns), the state's components, their deviations.
+
+    A component's deviation is that in its tangent space.
+    """
     states = space_of(type(moments.mean))
-    columns: dict[str, np.ndarray] = {"stamp_ns": stamps}
+    columns = {"stamp_ns": stamps, "time_s": (stamps - start) / 1e9}
     for names, leaf in zip(states.columns.values(), moments.mean, strict=True):
         values = np.asarray(leaf).reshape(len(stamps), -1)
         columns |= {name: values[:, i] for i, name in enumerate(names)}
