@@ -12,7 +12,8 @@ from kedge.evaluation.record import record
 from kedge.filters.gaussian.dead_reckoning import DeadReckoning
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.formats.results import flatten
-from kedge.studies.study import Study, run_study
+from kedge.studies.study import Study
+from kedge.studies.trials import run_study
 
 SCENARIO = buoy_text(
     duration=4.0,

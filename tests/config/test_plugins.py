@@ -187,4 +187,4 @@ def test_a_job_brings_its_modules_along(folder):
     job = Job(configuration, ("extended",), 2, 0, 2, setting.config.origin)
     vehicles._members.pop("trailer")
     del sys.modules["kedge_module_trailer"]
-    assert job.setting().config.scenario.duration == 2.0
+    assert job.build().setting.config.scenario.duration == 2.0

@@ -10,8 +10,9 @@ from kedge.filters.gaussian.kalman import Kalman
 from kedge.sensors.tracking_error import TrackingError
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.worlds.lane_keeping import LaneKeeping
-from kedge.studies.study import Study, run_study
+from kedge.studies.study import Study
 from kedge.studies.summary import summarise_study
+from kedge.studies.trials import run_study
 from kedge.vehicles.lateral_tracking import (
     AbstractLateral,
     LateralTracking,

@@ -20,7 +20,8 @@ from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.runs import estimate_runs
 from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
 from kedge.sensors.components import Components
-from kedge.studies.study import Study, run_study
+from kedge.studies.study import Study
+from kedge.studies.trials import run_study
 from kedge.testing import quick_jit
 from kedge.vehicles.benchmarks.lorenz96 import Lorenz96, ring
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control

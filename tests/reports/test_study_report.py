@@ -27,7 +27,8 @@ from kedge.reports.study_lines import (
 )
 from kedge.reports.study_report import tracks, write_study_report
 from kedge.studies.scores import Tally, TimeSums
-from kedge.studies.study import Study, Trials, plan_of
+from kedge.studies.study import Study
+from kedge.studies.trials import Trials
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
@@ -270,7 +271,7 @@ def test_a_right_filter_keeps_the_bounds_of_nis(buoy):
     sums = TimeSums(jnp.asarray(50.0), count[:, None], count, total, count, dof * count)
     time = np.arange(1, readings + 1) / 10
     none = np.zeros(readings, int)
-    plan = plan_of(buoy.study)._replace(sensor=none, sensed_time=time, time=time)
+    plan = buoy.study.plan._replace(sensor=none, sensed_time=time, time=time)
     found = nis_curve(plan, sums, 0)
     inside = np.mean((found.nis >= found.low) & (found.nis <= found.high))
     assert len(found.nis) == BINS

@@ -1,5 +1,7 @@
 """Studies: scores against a run by hand, pairing, and what changes no number."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -26,7 +28,7 @@ from kedge.studies.scores import (
     pack,
     unpack,
 )
-from kedge.studies.study import Study, Trials, plan_of, run_study, stream
+from kedge.studies.study import Study
 from kedge.studies.summary import (
     baseline,
     blank,
@@ -38,6 +40,7 @@ from kedge.studies.summary import (
     summarise_study,
     windows,
 )
+from kedge.studies.trials import Trials, run_study, stream
 from kedge.vehicles.constant_velocity import ConstantVelocity
 
 VEHICLE = ConstantVelocity()
@@ -86,7 +89,7 @@ def test_scores_are_those_of_a_run_by_hand(pooled, results):
     inside = np.mean(np.abs(error) <= 3 * std, axis=0)
     np.testing.assert_allclose(results["kalman"].runs.within[4], inside, rtol=1e-9)
 
-    analysed = run_study(pooled._replace(score="time-mean-rms"), {"kalman": Kalman()}, 5)
+    analysed = run_study(replace(pooled, score="time-mean-rms"), {"kalman": Kalman()}, 5)
     expected = np.mean(np.sqrt(np.mean(error[sensed] ** 2, axis=1)))
     np.testing.assert_allclose(analysed["kalman"].runs.time_mean_rms[4], expected, rtol=1e-9)
     assert sensed.sum() == 4
@@ -118,7 +121,7 @@ def test_another_filter_more_runs_or_another_chunk_change_no_number(pooled, resu
         (wide.runs, wide.whole, wide.sums),
     )
     assert wide.sums.total == 9
-    moved = run_study(pooled._replace(seed=4), {name: FILTERS[name]}, 3, chunk=3)
+    moved = run_study(replace(pooled, seed=4), {name: FILTERS[name]}, 3, chunk=3)
     assert (moved[name].runs.squared != again[name].runs.squared).all()
 
 
@@ -166,7 +169,7 @@ def test_sums_over_time_agree_with_scores_by_run(pooled, results):
         np.testing.assert_allclose(np.mean(result.sums.nees) / 5, result.whole.nees.mean())
         np.testing.assert_allclose(np.mean(result.sums.nis) / 5, result.whole.nis.mean())
         assert (result.sums.nis_dof == 10).all()
-        drawn = curves(pooled, trials.plan, result)
+        drawn = curves(pooled, result)
         np.testing.assert_allclose(
             np.mean(drawn.rmse["position"] ** 2),
             result.whole.squared[:, :2].sum(axis=1).mean(),
@@ -180,7 +183,7 @@ def test_sums_over_time_agree_with_scores_by_run(pooled, results):
 def test_windows_are_scored_as_the_whole_is(pooled, results):
     """The burn-in's rest is what the whole is scored by; a window between steps is left out."""
     result = results["kalman"]
-    found = record(windows(pooled, plan_of(pooled), result))
+    found = record(windows(pooled, result))
     assert list(found) == ["early", "else"]
     whole = record(summarise(pooled, result))
     for key in ("rmse", "rmse_ci", "nees", "nees_ci", "within_3_sigma", "coverage_95"):
@@ -189,7 +192,7 @@ def test_windows_are_scored_as_the_whole_is(pooled, results):
     np.testing.assert_allclose(
         4 * found["early"]["nees"] + 16 * found["else"]["nees"], 20 * whole["all_steps"]["nees"]
     )
-    late, rest = plan_of(pooled._replace(windows={"late": [(8.0, 10.0)]})).windows.values()
+    late, rest = replace(pooled, windows={"late": [(8.0, 10.0)]}).plan.windows.values()
     assert (late.events.sum(), rest.events.sum()) == (4, 12)
     assert not (late.events & rest.events).any()
 
@@ -239,10 +242,10 @@ def test_ratios_are_paired(pooled, results):
 
 
 def test_filters_are_judged_by_the_field_that_is_named(pooled, results):
-    found = summarise(pooled._replace(field="velocity"), results["kalman"])
+    found = summarise(replace(pooled, field="velocity"), results["kalman"])
     assert (found.score_of, found.score) == ("velocity", found.settled.rmse["velocity"])
     with pytest.raises(ConfigError, match="did you mean 'velocity'"):
-        pooled._replace(field="velocty").check()
+        replace(pooled, field="velocty").check()
 
 
 def _runs(squared, times=None):
@@ -302,7 +305,7 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
     assert (found["nis"]["gnss"], found["nis_dof"]["gnss"]) == (1.0, 2.0)
     within = found["within_3_sigma"]
     assert (within["position_x"], within["position"], within["velocity_y"]) == (1.0, 0.75, 0.5)
-    by_reading = pooled._replace(score="time-mean-rms")
+    by_reading = replace(pooled, score="time-mean-rms")
     result = result._replace(sums=blank(by_reading).sums)
     timed = record(summarise(by_reading, result))
     assert (timed["score"], timed["score_of"]) == (2.0, "time-mean-rms")
@@ -329,7 +332,7 @@ def test_the_interval_is_that_of_student():
     ],
 )
 def test_refusals(pooled, change, runs, message):
-    study = pooled._replace(**change)
+    study = replace(pooled, **change)
     if message is None:  # a reading at 10 s is left
         assert len(run_study(study, {"dead-reckoning": DeadReckoning()}, runs)) == 1
         return

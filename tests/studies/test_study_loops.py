@@ -18,7 +18,8 @@ from kedge.simulation.scenario import LoopFilter, Scenario
 from kedge.simulation.simulate import simulate
 from kedge.simulation.worlds.lane_keeping import LaneKeeping
 from kedge.studies.scores import Tally, pack, unpack
-from kedge.studies.study import Study, Trials, run_study, stream
+from kedge.studies.study import Study
+from kedge.studies.trials import Trials, run_study, stream
 from kedge.vehicles.lateral_tracking import LateralTracking, LinearLateralTracking
 from kedge.vehicles.unicycle import Unicycle
 
@@ -76,7 +77,7 @@ def test_all_filters_in_the_loop_of_one(own):
     """The truth is that of the filter named, and so are the estimates under its name."""
     pilot = LoopFilter(ExtendedKalman(), "extended")
     scenario = dataclasses.replace(SCENARIO, loop_filter=pilot)
-    study = own[0]._replace(scenario=scenario)
+    study = dataclasses.replace(own[0], scenario=scenario)
     filters = {"kalman": Kalman(), "extended": ExtendedKalman()}
     part = Trials(study, filters, 2).part(0)
     first, second = part.pieces.values()

@@ -1,5 +1,6 @@
 """What a world watches of its truth: root mean squares beside the filters' errors."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -12,8 +13,9 @@ from kedge.filters.gaussian.dead_reckoning import DeadReckoning
 from kedge.filters.gaussian.kalman import Kalman
 from kedge.sensors.gnss import Gnss
 from kedge.simulation.scenario import AbstractWorld, History, Scenario
-from kedge.studies.study import Study, run_study
+from kedge.studies.study import Study
 from kedge.studies.summary import compare, summarise
+from kedge.studies.trials import run_study
 from kedge.vehicles.constant_velocity import ConstantVelocity, Control, State
 
 
@@ -60,7 +62,7 @@ def test_root_mean_squares_after_the_burn_in_and_over_all_steps(study):
 
 
 def test_without_a_world_nothing_is_watched(study):
-    plain = study._replace(scenario=Scenario(study.scenario.rig, duration=6.0, dt=1.0))
+    plain = replace(study, scenario=Scenario(study.scenario.rig, duration=6.0, dt=1.0))
     result = run_study(plain, {"kalman": Kalman()}, 2)["kalman"]
     assert result.runs.tracked.shape == (2, 0)
     assert not summarise(plain, result).settled.tracking

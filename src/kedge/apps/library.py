@@ -21,7 +21,8 @@ from kedge.reports.study_report import write_study_report
 from kedge.studies.engines import study_of
 from kedge.studies.figures_of_merit import StudyScores, StudySummary
 from kedge.studies.scores import Result, Tally
-from kedge.studies.study import Study, Trials
+from kedge.studies.study import Study
+from kedge.studies.trials import Trials
 from kedge.tuning.tunable import choose
 from kedge.tuning.tuning import Search, Tuned
 from kedge.tuning.tuning import tune as tuned_by
@@ -121,11 +122,8 @@ def study(
     }
     how = study_of(setting, about.seed if seed is None else seed)
     count = about.runs if runs is None else runs
-    trials = Trials(how, built, count, about.chunk if chunk is None else chunk, progress)
-    trials.prepare()
-    tally = Tally(list(built))
-    for number in trials.chunks:
-        tally.add(trials.part(number))
+    batch = about.chunk if chunk is None else chunk
+    tally = Trials(how, built, count, batch, progress).tally()
     return StudyResults(setting, how, tally, summary_of(setting, how, tally.results(), count))
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,17 +17,10 @@ from kedge.core.errors import ConfigError, DataError
 from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.reports.page import require_studio
 from kedge.reports.study_report import write_study_report
-from kedge.studies.chunks import (
-    ChunkFolder,
-    MemoryChunks,
-    open_study,
-    read_study,
-    study_digest,
-)
-from kedge.studies.engines import Job, check, chosen
+from kedge.studies.chunks import ChunkFolder, open_study, read_study, study_digest
+from kedge.studies.engines import Built, Job, built, chosen
 from kedge.studies.figures_of_merit import StudySummary
-from kedge.studies.scores import Tally, chunks_of, unpack
-from kedge.studies.study import Trials
+from kedge.studies.scores import Part, Tally, chunks_of, pack, unpack
 
 FORMAT = 2
 """Of the chunks' files."""
@@ -82,36 +75,41 @@ def execute(name: str, options: Options) -> StudySummary | ShardSummary:
     shard = None if options.shard is None else parse_shard(options.shard)
     if options.out is None and (shard or options.resume or options.force):
         raise ConfigError("--shard, --resume and --force need a folder: --out DIR")
-    job = _job(name, options)
+    study = _built(name, options)
+    job, trials = study.job, study.trials
     if options.require:
-        setting = job.setting()
-        names = score_names(setting, job.study(setting), job.filters)
+        names = score_names(study.setting, trials.study, job.filters)
         check_requirements(options.require, job.filters, names)
-    chunks = range(chunks_of(job.runs, job.chunk))
+    chunks = trials.chunks
     mine = list(chunks) if shard is None else list(chunks)[shard[0] - 1 :: shard[1]]
     with contextlib.ExitStack() as stack:
-        progress = stack.enter_context(console_progress())
-        folder = MemoryChunks()
+        trials.progress = progress = stack.enter_context(console_progress())
+        folder, done, parts = None, list[int](), dict[int, Part]()
         if options.out is not None:
             opening = open_study(options.out, _study(job, shard), options.resume, options.force)
             folder = stack.enter_context(opening)
-        done, faults = folder.survey()
-        for fault in faults:
-            progress(f"{fault}; it is computed again")
+            done, faults = folder.survey()
+            for fault in faults:
+                progress(f"{fault}; it is computed again")
         remaining = [number for number in mine if number not in done]
         if done:
             progress(f"{len(mine) - len(remaining)} of {len(mine)} chunks are there already")
         if remaining:
-            check(job, progress)
+            trials.prepare()
         try:
-            for count, (number, arrays) in enumerate(engine(job, remaining, progress), 1):
-                folder.save(number, arrays)
+            for count, (number, part) in enumerate(engine(study, remaining, progress), 1):
+                if folder is None:
+                    parts[number] = part
+                else:
+                    folder.save(number, pack(part))
                 progress(f"{len(mine) - len(remaining) + count} of {len(mine)} chunks done")
         except KeyboardInterrupt:
             raise Interrupted(_kept(folder, mine, options)) from None
-        if isinstance(folder, ChunkFolder) and shard is not None:
+        if folder is None:
+            return _summed(study, (parts[number] for number in chunks))[1]
+        if shard is not None:
             return ShardSummary("study", shard, tuple(mine), len(chunks), folder.digest)
-        return finish(job, folder, progress if options.out and options.report else None)
+        return finish(study, folder, progress if options.report else None)
 
 
 def merge(
@@ -154,28 +152,34 @@ def merge(
         for number in whole:
             folder.write(number, there[number].read(number))
         with console_progress() as progress:
-            return finish(job, folder, progress if report else None)
+            return finish(job.build(), folder, progress if report else None)
 
 
 def finish(
-    job: Job, chunks: ChunkFolder | MemoryChunks, reporting: Callable[[str], None] | None
+    study: Built, folder: ChunkFolder, reporting: Callable[[str], None] | None
 ) -> StudySummary:
     """Add up the chunks in their order, and write the results beside them.
 
     A report is drawn if there is somebody to tell: ``reporting``.
     """
-    tally, setting = Tally(job.filters), job.setting()
-    for number in range(chunks_of(job.runs, job.chunk)):
-        tally.add(unpack(chunks.load(number), job.filters))
-    results, study = tally.results(), job.study(setting)
-    summary = summary_of(setting, study, results, job.runs)
-    if isinstance(chunks, ChunkFolder):
-        with chunks.publishing() as draft:
-            write_study(draft, summary, results)
-            if reporting is not None:
-                reporting("drawing the report")
-                write_study_report(draft, content_of(study, tally, summary))
+    names = study.job.filters
+    parts = (unpack(folder.load(number), names) for number in study.trials.chunks)
+    tally, summary = _summed(study, parts)
+    with folder.publishing() as draft:
+        write_study(draft, summary, tally.results())
+        if reporting is not None:
+            reporting("drawing the report")
+            write_study_report(draft, content_of(study.trials.study, tally, summary))
     return summary
+
+
+def _summed(study: Built, parts: Iterable[Part]) -> tuple[Tally, StudySummary]:
+    """All chunks, in their order."""
+    tally = Tally(study.job.filters)
+    for part in parts:
+        tally.add(part)
+    how, runs = study.trials.study, study.job.runs
+    return tally, summary_of(study.setting, how, tally.results(), runs)
 
 
 def parse_shard(text: str) -> tuple[int, int]:
@@ -193,7 +197,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     return index, count
 
 
-def _job(name: str, options: Options) -> Job:
+def _built(name: str, options: Options) -> Built:
     """What is to be computed, checked as far as that goes without computing it."""
     setting = load_scenario(name, settings(options.changes))
     about, spec = setting.config.scenario, options.filters
@@ -210,12 +214,14 @@ def _job(name: str, options: Options) -> Job:
         chunk=about.chunk if options.chunk is None else options.chunk,
         origin=setting.config.origin,
     )
-    Trials(job.study(setting), {n: about.filter_of(n) for n in names}, job.runs, job.chunk)
-    return job._replace(chunk=min(job.chunk, job.runs))
+    study = built(job, setting)
+    return study._replace(job=job._replace(chunk=study.trials.chunk))
 
 
-def _kept(folder: ChunkFolder | MemoryChunks, mine: Sequence[int], options: Options) -> str:
+def _kept(folder: ChunkFolder | None, mine: Sequence[int], options: Options) -> str:
     """What an interrupted study leaves."""
+    if folder is None:
+        return "nothing is kept"
     if options.force and not folder.kept:
         return f"nothing new is kept; {options.out} holds what it held"
     kept = len(set(folder.survey()[0]) & set(mine)) if folder.kept else 0

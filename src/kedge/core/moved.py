@@ -80,7 +80,7 @@ MOVED_TO = {
     "studies": {
         "apps": "engines",
         "evaluation": (
-            "study study_claims=claims study_measure=measure study_pass=filter_pass "
+            "study study_claims=claims study_measure=measure study_pass=measure "
             "study_scores=scores study_summary=summary"
         ),
         "files": "chunks",

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-import equinox as eqx
-import jax
 from jaxtyping import PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
-from kedge.estimation.compiled import Engine, compiled_pass
+from kedge.estimation.compiled import Engine
 from kedge.estimation.log import Log, Recording, events_of
 from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.runner import Runner
 from kedge.estimation.traced import Estimates as Estimates
 from kedge.estimation.traced import pass_over as pass_over
 from kedge.estimation.transition import require_smoothable
@@ -61,13 +60,8 @@ def estimate(
     Raises:
         ContractError: the engine asked for cannot run this.
     """
-    filter, rig, events = as_arrays((filter, rig, events_of(log)))
-    native = compiled_pass(filter, rig, events, False, engine, keep)
-    if native is not None:
-        return native.over(filter, rig, events)
-    if keep is not None:
-        return _kept(filter, rig, events, _key(key), keep)
-    return scan(filter, rig, events, _key(key), False)[0]
+    given = as_arrays((filter, rig, events_of(log)))
+    return Runner(given, key, keep, engine=engine).over(given)[0]
 
 
 def estimate_with_history(
@@ -83,12 +77,9 @@ def estimate_with_history(
         ContractError: the filter carries neither a Gaussian nor an ensemble, or the engine
             asked for cannot run this.
     """
-    filter, rig, events = as_arrays((filter, rig, events_of(log)))
     require_smoothable(filter)
-    native = compiled_pass(filter, rig, events, True, engine)
-    if native is not None:
-        return native.over(filter, rig, events)
-    return scan(filter, rig, events, _key(key), True)
+    given = as_arrays((filter, rig, events_of(log)))
+    return Runner(given, key, history=True, engine=engine).over(given)
 
 
 def compile_estimate(
@@ -107,31 +98,9 @@ def compile_estimate(
         ContractError: ``keep`` with a filter that cannot be smoothed, or the engine asked for
             cannot run this.
     """
-    filter, rig, log = as_arrays((filter, rig, log))
     if keep:
         require_smoothable(filter)
-    native = compiled_pass(filter, rig, log, keep, engine)
-    if native is not None:
-        call = native.bound(filter, rig, log)
-        return call if keep else lambda: (call(), None)
-    arguments = filter, rig, log, _key(key), keep
-    compiled = scan.lower(*arguments).compile()
-    return lambda: compiled(*arguments)
-
-
-def _key(key: PRNGKeyArray | None) -> PRNGKeyArray:
-    return jax.random.key(0) if key is None else key
-
-
-@eqx.filter_jit
-def _kept(
-    filter: AbstractFilter,
-    rig: Rig,
-    log: Log,
-    key: PRNGKeyArray,
-    keep: Callable[[Estimates], Any],
-) -> Any:
-    return keep(pass_over(filter, rig, log, key, False)[0])
-
-
-scan: Any = eqx.filter_jit(pass_over)
+    given = as_arrays((filter, rig, log))
+    runner = Runner(given, key, history=keep, engine=engine)
+    runner.compile(given)
+    return runner.bound(given)

@@ -73,7 +73,7 @@ class NativePass:
                 places=[program.places[i] for i in kept],
             )
         self.kernel = Kernel(program, batched, limits)
-        self.arguments, self.own = arguments, flags
+        self.arguments = arguments
         self.memory = threading.local()
         self.results = jax.tree.structure(traced.results)
 
@@ -81,19 +81,6 @@ class NativePass:
         """The arguments as the machine code reads them."""
         pairs = zip(leaves, self.arguments, strict=True)
         return [*(prepared(leaf, argument.kind) for leaf, argument in pairs), None]
-
-    def raw(self, leaves: Sequence[Any], events: int, runs: int) -> list[np.ndarray]:
-        """The results as the machine code leaves them: by group of runs, event, place, run.
-
-        Their memory is the thread's, and used again by its next call: new memory costs as much
-        as computing what is put there.
-        """
-        kept = getattr(self.memory, "kept", None)
-        if kept is None or kept[0] != (events, runs):
-            kept = (events, runs), self.kernel.fresh(events, runs)
-            self.memory.kept = kept
-        self.kernel.run(self.arrays(leaves), kept[1], events, runs)
-        return kept[1]
 
     def tree(self, leaves: Sequence[Any], values: Sequence[Any]) -> Any:
         """Results in the form that the traced program has; None where they are not wanted."""
@@ -104,94 +91,61 @@ class NativePass:
             flat[place] = value
         return jax.tree.unflatten(self.results, flat)
 
-
-class One:
-    """A pass over one log."""
-
-    def __init__(self, compiled: NativePass, keep: Keep, history: bool):
-        self.compiled, self.keep, self.history = compiled, keep, history
-
-    def over(self, filter: AbstractFilter, rig: Rig, log: Log) -> Any:
-        """Estimates, with the history if it was asked for, or what ``keep`` picks."""
-        return self.bound(filter, rig, log)()
-
-    def bound(self, filter: AbstractFilter, rig: Rig, log: Log) -> Callable[[], Any]:
-        """The pass over that log as a call."""
-        leaves = jax.tree.leaves((filter, rig, log))
-        arrays = self.compiled.arrays(leaves)
-        kernel, events = self.compiled.kernel, log.schedule.time.shape[0]
+    def bound(self, given: Any) -> Callable[[], Any]:
+        """The pass over one log as a call, which gives what the traced program gives."""
+        leaves, events = jax.tree.leaves(given), _events(given)
+        arrays = self.arrays(leaves)
 
         def call() -> Any:
-            outputs = kernel.fresh(events, 1)
-            kernel.run(arrays, outputs, events)
-            returned = jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
-            estimates, history, _ = self.compiled.tree(leaves, returned)
-            if self.keep is not None:
-                return _picked(self.keep, estimates)
-            return (estimates, history) if self.history else estimates
+            outputs = self.kernel.fresh(events, 1)
+            self.kernel.run(arrays, outputs, events)
+            return self.tree(
+                leaves, jax.device_put([o.reshape(o.shape[1:-1]) for o in outputs])
+            )
 
         return call
 
-
-class Many:
-    """A pass over the logs of several runs."""
-
-    def __init__(self, compiled: NativePass, keep: Keep):
-        self.compiled, self.keep = compiled, keep
-
-    def most_runs(self, log: Log) -> int:
+    def most_runs(self, given: Any) -> int:
         """How many runs one call takes at most, in whole registers."""
-        kernel = self.compiled.kernel
-        fit = MOST_BYTES // max(kernel.size(log.schedule.time.shape[0]), 1)
-        return max(fit // kernel.lanes, cores()) * kernel.lanes
+        fit = MOST_BYTES // max(self.kernel.size(_events(given)), 1)
+        return max(fit // self.kernel.lanes, cores()) * self.kernel.lanes
 
-    def over(self, filter: AbstractFilter, rig: Rig, log: Log, runs: int) -> Any:
-        """What ``keep`` picks of each run, with a leading axis of runs."""
-        leaves = jax.tree.leaves((filter, rig, log))
-        events = log.schedule.time.shape[0]
-        raw = self.compiled.raw(leaves, events, runs)
-        passed = [leaves[number] for number in self.compiled.kernel.passed.values()]
-        # Waited for, since the memory is used again.
-        return jax.block_until_ready(_unpacked(self.compiled, self.keep, runs, raw, passed))
+    def over_runs(self, given: Any, runs: int, keep: Keep) -> Any:
+        """What ``keep`` picks of the estimates of each run, with a leading axis of runs.
 
-    def raw(self, filter: AbstractFilter, rig: Rig, log: Log, runs: int) -> Estimates:
-        """Estimates as the machine code leaves them, None where ``keep`` does not look.
-
-        See :func:`by_run`. They are overwritten by the thread's next call.
+        The memory in which the machine code leaves them is the thread's, and used again by its
+        next call: new memory costs as much as computing what is put there.
         """
-        leaves = jax.tree.leaves((filter, rig, log))
-        raw = self.compiled.raw(leaves, log.schedule.time.shape[0], runs)
-        return self.compiled.tree(leaves, raw)[0]
+        leaves, events = jax.tree.leaves(given), _events(given)
+        kept = getattr(self.memory, "kept", None)
+        if kept is None or kept[0] != (events, runs):
+            kept = self.memory.kept = (events, runs), self.kernel.fresh(events, runs)
+        self.kernel.run(self.arrays(leaves), kept[1], events, runs)
+        raw, _, _ = self.tree([None] * len(leaves), kept[1])
+        passed, _, _ = self.tree(leaves, [None] * len(kept[1]))
+        return jax.block_until_ready(_by_run(keep, runs, raw, passed))
 
 
-def by_run(array: Any, runs: int) -> Any:
-    """Numbers by group of runs, event, place and run within the group, in the order of runs."""
-    runs_last = jnp.moveaxis(array, -1, 1)
-    return runs_last.reshape(-1, *runs_last.shape[2:])[:runs]
+def _events(given: Any) -> int:
+    return given[2].schedule.time.shape[0]
 
 
 @eqx.filter_jit
-def _picked(keep: Callable[[Estimates], Any], estimates: Estimates) -> Any:
-    return keep(estimates)
+def _by_run(keep: Keep, runs: int, raw: Estimates, passed: Estimates) -> Any:
+    """What is kept of each run; one program for all filters whose estimates look alike.
 
+    ``raw`` has numbers by group of runs, event, place and run within the group.
+    """
 
-@eqx.filter_jit
-def _unpacked(
-    compiled: NativePass, keep: Keep, runs: int, raw: list[Any], passed: list[Any]
-) -> Any:
-    """Results run by run, and of each what is kept; one compiled program."""
-    kernel = compiled.kernel
+    def ordered(array: Any) -> Any:
+        runs_last = jnp.moveaxis(array, -1, 1)
+        return runs_last.reshape(-1, *runs_last.shape[2:])[:runs]
 
-    def one(values: list[Any]) -> Any:
-        flat: list[Any] = [None] * compiled.results.num_leaves
-        for place, value in zip(kernel.passed, passed, strict=True):
-            flat[place] = value
-        for place, value in zip(kernel.places, values, strict=True):
-            flat[place] = value
-        estimates = jax.tree.unflatten(compiled.results, flat)[0]
-        return estimates if keep is None else keep(estimates)
+    def one(estimates: Estimates) -> Any:
+        whole = eqx.combine(estimates, passed)
+        return whole if keep is None else keep(whole)
 
-    return jax.vmap(one)([by_run(array, runs) for array in raw])
+    return jax.vmap(one)(jax.tree.map(ordered, raw))
 
 
 def native_pass(
@@ -202,7 +156,7 @@ def native_pass(
     keep: Keep,
     per_run: Any,
     work: int = 0,
-) -> One | Many:
+) -> NativePass:
     """The compiled pass for this structure and these shapes; compiled once in a process.
 
     Raises:
@@ -230,8 +184,7 @@ def native_pass(
         wanted = None if keep is None else _wanted(form, keep)
     except TypeError:  # it holds arrays, so that it cannot be looked up
         wanted = _wanted.__wrapped__(form, keep)
-    compiled = _compiled(form, flags, wanted, LONG if work >= MUCH else SHORT)
-    return One(compiled, keep, history) if flags is None else Many(compiled, keep)
+    return _compiled(form, flags, wanted, LONG if work >= MUCH else SHORT)
 
 
 @ft.lru_cache(maxsize=64)

@@ -56,11 +56,7 @@ class NativeStep:
             self._filter, self._rig, jax.tree.map(jax.numpy.asarray, log), self._history,
             self._engine, work=ENDLESS,
         )  # fmt: skip
-        return (
-            None
-            if compiled is None
-            else Program(compiled.compiled, self._filter, self._rig, log)
-        )
+        return None if compiled is None else Program(compiled, self._filter, self._rig, log)
 
 
 class Program:

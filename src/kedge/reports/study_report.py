@@ -26,7 +26,7 @@ from kedge.reports.study_tracks import (
 )
 from kedge.studies.figures_of_merit import StudySummary
 from kedge.studies.scores import Result
-from kedge.studies.study import Study, plan_of
+from kedge.studies.study import Study
 from kedge.studies.summary import curves
 
 
@@ -137,7 +137,7 @@ def _tracking(content: StudyContent) -> Iterator[Plate]:
 
 def tracks(content: StudyContent) -> list[Track]:
     """The first run by field, with the filters that stand for the others."""
-    plan, states, listed = plan_of(content.study), _states(content), []
+    plan, states, listed = content.study.plan, _states(content), []
     examples = {name: result.example for name, result in content.results.items()}
     whole = {
         name: np.concatenate([np.ravel(values) for values in example.values()])
@@ -218,9 +218,8 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
 
 def _over_time(content: StudyContent) -> Iterator[Plate]:
     study, states = content.study, _states(content)
-    plan = plan_of(study)
     curves_by_name = {
-        n: curves(study, plan, r) for n, r in content.results.items() if r.sums.total > 0
+        n: curves(study, r) for n, r in content.results.items() if r.sums.total > 0
     }
     if not curves_by_name:
         return
@@ -244,7 +243,9 @@ def _over_time(content: StudyContent) -> Iterator[Plate]:
         yield Plate("nees", "consistency", caption, axes[0, 0].figure)
     sensors = study.scenario.rig.sensors
     judged = {
-        name: [nis_curve(plan, content.results[name].sums, i) for i in range(len(sensors))]
+        name: [
+            nis_curve(study.plan, content.results[name].sums, i) for i in range(len(sensors))
+        ]
         for name in curves_by_name
     }
     judged = {n: cs for n, cs in judged.items() if any(len(c.nis) for c in cs)}

@@ -38,17 +38,6 @@ STUDY = "study.json"
 _SEAL = re.compile(rb"kedge chunk (\d{6,}) of study ([0-9a-f]{64}), SHA-256 ([0-9a-f]{64})$")
 
 
-class MemoryChunks(dict[int, dict[str, np.ndarray]]):
-    """Chunks of a study that leaves no folder."""
-
-    kept = False
-    save, load = dict.__setitem__, dict.__getitem__
-
-    def survey(self) -> tuple[list[int], list[str]]:
-        """The numbers of the chunks that are done; none is damaged."""
-        return sorted(self), []
-
-
 class ChunkFolder:
     """Chunks of one study on disk. Nothing is written before the first is saved."""
 

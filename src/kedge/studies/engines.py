@@ -1,7 +1,7 @@
 """Who computes a study's chunks: this process, several of them, or the workers of a cluster.
 
-Each engine gives back chunks as they come, as named arrays; which engine it was, and in which
-order they came, changes no number.
+Each engine gives back chunks as they come; which engine it was, and in which order they came,
+changes no number.
 """
 
 import asyncio
@@ -16,14 +16,13 @@ from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from kedge.config.plugins import load_modules
 from kedge.config.scenarios import ScenarioConfig, Setting, build_setting
 from kedge.core.errors import ConfigError, KedgeError
 from kedge.estimation.compilation_cache import use_compilation_cache
-from kedge.studies.scores import pack
-from kedge.studies.study import Study, Trials
+from kedge.studies.scores import Part
+from kedge.studies.study import Study
+from kedge.studies.trials import Trials
 
 ENGINES = ("local", "processes", "dask")
 ANSWER = 8.0  # s that a scheduler has to answer
@@ -31,7 +30,7 @@ ATTEMPTS = 3
 """How often chunks are begun anew that were lost with a process."""
 
 Progress = Callable[[str], None]
-Chunks = Iterator[tuple[int, dict[str, np.ndarray]]]
+Chunks = Iterator[tuple[int, Part]]
 
 
 class Job(NamedTuple):
@@ -46,30 +45,36 @@ class Job(NamedTuple):
     origin: str = ""
     """The scenario's file, from which modules of the user's own are found."""
 
-    def setting(self) -> Setting:
-        """Build the scenario.
-
-        Raises:
-            KedgeError: it cannot be built here.
-        """
-        if self.origin:
-            load_modules(Path(self.origin))
-        config = ScenarioConfig.model_validate_json(self.configuration)
-        return build_setting(config)
-
-    def study(self, setting: Setting) -> Study:
-        """How the scenario is scored."""
-        return study_of(setting, self.seed)
-
-    def trials(self, progress: Progress = lambda text: None) -> Trials:
+    def build(self) -> "Built":
         """Make the study ready to be computed.
 
         Raises:
             KedgeError: the scenario or a filter cannot be built here.
         """
-        setting = self.setting()
-        filters = {name: setting.config.scenario.filter_of(name) for name in self.filters}
-        return Trials(self.study(setting), filters, self.runs, self.chunk, progress)
+        if self.origin:
+            load_modules(Path(self.origin))
+        config = ScenarioConfig.model_validate_json(self.configuration)
+        return built(self, build_setting(config))
+
+
+class Built(NamedTuple):
+    """A job with what was built of it, once in a process."""
+
+    job: Job
+    setting: Setting
+    trials: Trials
+
+
+def built(job: Job, setting: Setting) -> Built:
+    """A job of a scenario that is built already.
+
+    Raises:
+        KedgeError: a filter cannot be built, or the study cannot be scored.
+    """
+    filters = {name: setting.config.scenario.filter_of(name) for name in job.filters}
+    return Built(
+        job, setting, Trials(study_of(setting, job.seed), filters, job.runs, job.chunk)
+    )
 
 
 def study_of(setting: Setting, seed: int) -> Study:
@@ -80,32 +85,20 @@ def study_of(setting: Setting, seed: int) -> Study:
     return Study(setting.scenario, *how, setting.vehicles, about.field, windows)
 
 
-def compute(job: Job, number: int) -> dict[str, np.ndarray]:
+def compute(job: Job, number: int) -> Part:
     """Compute one chunk in a worker, which keeps what it compiled for the next."""
     with _alone:
-        return pack(_trials(job).part(number))
+        return _built(job).trials.part(number)
 
 
-def check(job: Job, progress: Progress) -> None:
-    """See that every filter can run, before anything is computed or sent anywhere.
-
-    Raises:
-        KedgeError: a filter cannot run on the scenario's rig.
-    """
-    trials = _trials(job)
-    trials.progress = progress
-    trials.prepare()
-
-
-def local(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
+def local(study: Built, numbers: Sequence[int], progress: Progress) -> Chunks:
     """One batched computation after the other, in this process."""
-    trials = _trials(job)
-    trials.progress = progress
+    study.trials.progress = progress
     for number in numbers:
-        yield number, pack(trials.part(number))
+        yield number, study.trials.part(number)
 
 
-def processes(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
+def processes(study: Built, numbers: Sequence[int], progress: Progress) -> Chunks:
     """A process for each core; a chunk is a task.
 
     Raises:
@@ -125,11 +118,11 @@ def processes(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
         progress(f"{count} processes, {len(waiting)} chunks")
         pool = ProcessPoolExecutor(count, context, _ignore_interrupts)
         try:
-            tasks = {pool.submit(compute, job, number): number for number in waiting}
+            tasks = {pool.submit(compute, study.job, number): number for number in waiting}
             for task in as_completed(tasks):
-                arrays, number = task.result(), tasks.pop(task)
+                part, number = task.result(), tasks.pop(task)
                 waiting.remove(number)
-                yield number, arrays
+                yield number, part
         except BrokenProcessPool:
             progress("a process ended before its chunk was done; its chunk is begun anew")
         finally:
@@ -141,7 +134,7 @@ def processes(job: Job, numbers: Sequence[int], progress: Progress) -> Chunks:
         )
 
 
-def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -> Chunks:
+def dask(study: Built, numbers: Sequence[int], progress: Progress, scheduler: str) -> Chunks:
     """The workers of a Dask cluster, which need kedge installed; a chunk is a task.
 
     A chunk that is lost with a worker is given to another.
@@ -174,12 +167,14 @@ def dask(job: Job, numbers: Sequence[int], progress: Progress, scheduler: str) -
         progress(
             f"{workers} workers, {len(numbers)} chunks" + ("; waiting" if not workers else "")
         )
-        tasks = {client.submit(compute, job, n, pure=False, retries=1): n for n in numbers}
+        tasks = {
+            client.submit(compute, study.job, n, pure=False, retries=1): n for n in numbers
+        }
         try:
             for task in distributed.as_completed(list(tasks), loop=client.loop):
-                arrays, number = task.result(), tasks.pop(task)
+                part, number = task.result(), tasks.pop(task)
                 task.release()
-                yield number, arrays
+                yield number, part
         except distributed.KilledWorker as error:
             raise KedgeError(
                 f"--engine dask: workers ended again and again before a chunk was done: {error}"
@@ -203,7 +198,7 @@ async def _answer(scheduler: str) -> None:
 
 def chosen(
     engine: str, scheduler: str | None
-) -> Callable[[Job, Sequence[int], Progress], Chunks]:
+) -> Callable[[Built, Sequence[int], Progress], Chunks]:
     """The engine of a name.
 
     Raises:
@@ -226,9 +221,9 @@ _alone = threading.Lock()
 
 
 @functools.lru_cache(maxsize=2)
-def _trials(job: Job) -> Trials:
+def _built(job: Job) -> Built:
     use_compilation_cache()
-    return job.trials()
+    return job.build()
 
 
 def _ignore_interrupts() -> None:

@@ -1,6 +1,5 @@
 """What filters are given of simulated runs, and what they made of it, scored."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,56 +8,85 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import Space, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Log
+from kedge.estimation.runner import Given
+from kedge.estimation.traced import Estimates
 from kedge.evaluation.consistency import chi_square_bound
 from kedge.numerics.linalg import UNROLLED, UNROLLED_COLUMNS, cholesky, solve_lower
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.simulate import Simulation, with_readings
-from kedge.studies.filter_pass import Believed, Given
 from kedge.studies.scores import RunScores, TimeSums
+from kedge.studies.study import Plan
 
 
-class Plan(NamedTuple):
-    """What all runs share: their events, and at which of them they are scored."""
-
-    log: Log
-    events: Int[np.ndarray, " K"]
-    """Those scored."""
-    steps: Int[np.ndarray, " K"]
-    """The step at whose end each scored event lies."""
-    settled: Bool[np.ndarray, " K"]
-    """Whether the burn-in is over."""
-    time: Float[np.ndarray, " K"]  # s
-    sensed: Int[np.ndarray, " E"]
-    """The events with a reading."""
-    sensor: Int[np.ndarray, " E"]
-    sensed_settled: Bool[np.ndarray, " E"]
-    sensed_time: Float[np.ndarray, " E"]  # s
-    steps_settled: Bool[np.ndarray, " S"]
-    """Of all steps."""
-    windows: Mapping[str, "Window"] = {}
+def given_of(
+    filter: AbstractFilter, scenario: Scenario, plan: Plan, truth: Simulation, means: Any
+) -> Given:
+    """The runs as a filter is told of them; its prior's mean, controls and readings by run."""
+    log = plan.log
+    return _with((filter, scenario.rig, log), means, *_logged(scenario, log, truth))
 
 
-class Window(NamedTuple):
-    """Some of the times of a run that are scored apart."""
+def per_run(given: Given) -> Any:
+    """Flags for a tree like it: what has a leading axis of runs."""
+    _, rig, log = jax.tree.map(lambda _: True, given)
+    common = jax.tree.map(lambda _: False, given)
+    return _with(common, rig.prior.mean, log.controls, log.readings)
 
-    events: Bool[np.ndarray, " K"]
-    """Of those scored."""
-    sensed: Bool[np.ndarray, " E"]
-    steps: Bool[np.ndarray, " S"]
+
+def _with(given: Given, mean: Any, controls: Any, readings: Any) -> Given:
+    filter, rig, log = given
+    rig = eqx.tree_at(lambda r: r.prior, rig, Gaussian(mean, rig.prior.cov))
+    return filter, rig, Log(log.schedule, controls, readings)
 
 
 @eqx.filter_jit
-def given_of(scenario: Scenario, plan: Plan, truth: Simulation, means: Any) -> Given:
-    """The runs as filters are told of them; leading run axis."""
+def _logged(scenario: Scenario, log: Log, truth: Simulation) -> tuple[Any, Any]:
+    return jax.vmap(lambda true: with_readings(log, scenario, true)[1:])(truth)
 
-    def one(true: Simulation) -> tuple[Any, Any]:
-        log = with_readings(plan.log, scenario, true)
-        return log.controls, log.readings
 
-    return Given(means, *jax.vmap(one)(truth))
+class Believed(NamedTuple):
+    """What scores need of a run's estimates."""
+
+    mean: Any
+    """At the scored events."""
+    cov: Float[Array, "*K n n"] | None
+    """Of states that are small enough for a NEES."""
+    verdict: Int[Array, "*E"]
+    dof: Int[Array, "*E"]
+    nis: Float[Array, "*E"] | None
+    """Of measurements that are small enough."""
+
+
+class Pick(eqx.Module):
+    """Picks of estimates what scores need."""
+
+    scored: Int[Array | np.ndarray, " K"]
+    sensed: Int[Array | np.ndarray, " E"]
+    cov: bool = eqx.field(static=True)
+    nis: bool = eqx.field(static=True)
+
+    def __call__(self, estimates: Estimates) -> Believed:
+        moments, outcome = estimates.moments, estimates.outcome
+        return Believed(
+            mean=jax.tree.map(lambda leaf: leaf[self.scored], moments.mean),
+            cov=moments.cov[self.scored] if self.cov else None,
+            verdict=outcome.verdict[self.sensed],
+            dof=outcome.dof[self.sensed],
+            nis=outcome.nis[self.sensed] if self.nis else None,
+        )
+
+
+def pick_of(given: Given, plan: Plan) -> Pick:
+    """With covariances and NIS where XLA forms those of scores without a loop."""
+    _, rig, _ = given
+    widest = max((s.sensor.dof() for s in rig.sensors), default=0)
+    size = space_of(type(rig.prior.mean)).size
+    return Pick(plan.events, plan.sensed, size <= UNROLLED_COLUMNS, widest <= UNROLLED)
 
 
 @eqx.filter_jit
@@ -67,7 +95,7 @@ def scored(
     plan: Plan,
     truth: Simulation,
     beliefs: Believed,
-    kept: Bool[Array, " runs"],
+    kept: Bool[Array | np.ndarray, " runs"],
 ) -> tuple[RunScores, RunScores, dict[str, RunScores], TimeSums, Any]:
     """Scores of some runs (late, whole, by window), sums of those kept, means of the first.
 

@@ -14,7 +14,7 @@ from kedge.evaluation.consistency import chi_square_interval
 from kedge.evaluation.scores import Score
 from kedge.studies.figures_of_merit import MeansOverTime, StudyScores, WindowScores
 from kedge.studies.scores import Result, RunScores, TimeSums, finite
-from kedge.studies.study import Plan, Study, plan_of
+from kedge.studies.study import Study
 
 BASELINE = "kalman"
 REPLICATES = 2000
@@ -37,10 +37,9 @@ class Curves(NamedTuple):
 
 def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, StudyScores]:
     """The scores of all filters, with ratios to the baseline."""
-    base, plan = baseline(list(results)), plan_of(study)
+    base = baseline(list(results))
     return {
-        name: summarise(study, result, plan, results[base], base)
-        for name, result in results.items()
+        name: summarise(study, result, results[base], base) for name, result in results.items()
     }
 
 
@@ -52,7 +51,6 @@ def baseline(names: Sequence[str]) -> str:
 def summarise(
     study: Study,
     result: Result,
-    plan: Plan | None = None,
     other: Result | None = None,
     base: str = BASELINE,
 ) -> StudyScores:
@@ -61,7 +59,7 @@ def summarise(
     Runs that came out not finite are left out and counted as ``failed``.
     """
     good, states = finite(result), _states(study)
-    plan, other = plan or plan_of(study), result if other is None else other
+    other = result if other is None else other
     mean = interval(np.asarray(result.runs.time_mean_rms)[good])
     settled = _window(study, result.runs, good, compare(study, result, other))
     headline = _headline(study) if study.score == "pooled" else study.score
@@ -81,13 +79,13 @@ def summarise(
         baseline=base,
         ratio_to_baseline=settled.ratios[headline],
         by_time=by_time(study, result, other),
-        windows=windows(study, plan, result) if result.windows else {},
+        windows=windows(study, result) if result.windows else {},
     )
 
 
 def blank(study: Study) -> Result:
     """A result of two runs that all came out zero: it has every score's name."""
-    plan, sensors = plan_of(study), len(study.scenario.rig.sensors)
+    plan, sensors = study.plan, len(study.scenario.rig.sensors)
     size, watches, runs = _states(study).size, len(_watches(study)), 2
     each = np.zeros(runs)
     scores = RunScores(
@@ -104,7 +102,7 @@ def blank(study: Study) -> Result:
     times, readings = len(plan.time), len(plan.sensed)
     none = np.zeros(readings)
     sums = TimeSums(np.zeros(()), np.zeros((times, size)), np.zeros(times), none, none, none)
-    apart = dict.fromkeys(plan_of(study).windows, scores)
+    apart = dict.fromkeys(plan.windows, scores)
     return Result(scores, scores, sums, 0.0, windows=apart)
 
 
@@ -164,7 +162,7 @@ def by_time(study: Study, result: Result, other: Result) -> MeansOverTime:
     Where each time is an experiment of its own, such as a place at which a tag was put down,
     this is the mean of their results, to which a bad place adds no more than its own.
     """
-    settled = plan_of(study).settled
+    settled = study.plan.settled
     roots = [
         np.sqrt(np.asarray(r.sums.squared)[settled] / max(int(r.sums.total), 1))
         for r in (result, other)
@@ -178,13 +176,13 @@ def by_time(study: Study, result: Result, other: Result) -> MeansOverTime:
     return MeansOverTime(rmse, ratio)
 
 
-def curves(study: Study, plan: Plan, result: Result) -> Curves:
+def curves(study: Study, result: Result) -> Curves:
     r"""Means over runs at each time; NEES and NIS with the two-sided 95 % bounds of their mean.
 
     Source: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with Applications to
     Tracking and Navigation", 2001, section 5.4.2.
     """
-    states, sums = _states(study), result.sums
+    states, sums, plan = _states(study), result.sums, study.plan
     count = max(int(sums.total), 1)
     squared = np.asarray(sums.squared) / count
     dof, fused = np.asarray(sums.nis_dof), np.asarray(sums.nis_count)
@@ -207,13 +205,13 @@ def curves(study: Study, plan: Plan, result: Result) -> Curves:
     )
 
 
-def windows(study: Study, plan: Plan, result: Result) -> dict[str, WindowScores]:
+def windows(study: Study, result: Result) -> dict[str, WindowScores]:
     """The scores over each of the study's windows, and over the rest after the burn-in.
 
     ``nis_per_dof`` is that of all sensors together, per degree of freedom.
     """
     good, sums, scores = finite(result), result.sums, {}
-    for name, window in plan.windows.items():
+    for name, window in study.plan.windows.items():
         freedom = float(np.asarray(sums.nis_dof)[window.sensed].sum())
         nis = float(np.asarray(sums.nis)[window.sensed].sum())
         scores[name] = replace(
