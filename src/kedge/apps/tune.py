@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 from kedge import __version__
 from kedge.apps.console import command_line, console_progress, printer
-from kedge.apps.workflow import load, settings
+from kedge.apps.workflow import load_with_raw, settings
 from kedge.config.filters import build_filter
-from kedge.config.problem import Problem, load_problem
+from kedge.config.problem import Problem, fitted
+from kedge.config.rigs import load_rig_config
 from kedge.core.errors import ConfigError, DataError
 from kedge.estimation.batch import estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
@@ -59,7 +60,7 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
     names = None if options.parameters is None else split_list(options.parameters)
     bounds = parse_bounds(options.bounds)
     use_compilation_cache()
-    problem = load(rig, log, "auto", options.until, options.changes)
+    problem, raw = load_with_raw(rig, log, "auto", options.until, options.changes)
     spec = options.filter or problem.filter
     filter = build_filter(spec)
     if options.with_truth and problem.truth is None:
@@ -76,9 +77,9 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
             filter, problem.rig, problem.recording, chosen, truth, until, search, progress
         )
         progress("scores")
-        overrides = settings(options.changes) | {"filter.name": f'"{spec}"'}
-        overrides |= {t.key: repr(float(v)) for t, v in zip(chosen, tuned.values, strict=True)}
-        after = load_problem(rig, log, "auto", options.until, overrides)
+        overrides: dict[str, Any] = settings(options.changes) | {"filter.name": f'"{spec}"'}
+        overrides |= {t.key: float(v) for t, v in zip(chosen, tuned.values, strict=True)}
+        after = fitted(load_rig_config(rig, overrides), raw, log, "auto", options.until)
         cases = {"start": problem, "tuned": after}
         if any(own.gate is not None for own in problem.rig.sensors):
             cases["tuned_ungated"] = after._replace(rig=ungated(after.rig)[0])

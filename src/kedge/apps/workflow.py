@@ -15,7 +15,8 @@ from kedge.apps.console import console_progress
 from kedge.apps.output import write_results
 from kedge.apps.summaries import facts_of, provenance
 from kedge.config.filters import build_filter
-from kedge.config.problem import Problem, load_problem
+from kedge.config.problem import Problem, fitted, read_raw
+from kedge.config.rigs import load_rig_config
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
@@ -23,6 +24,7 @@ from kedge.estimation.smoother import compile_smoother
 from kedge.estimation.transition import is_smoothable
 from kedge.evaluation.score import Run, in_the_map, score
 from kedge.evaluation.scores import LogSummary, Provenance
+from kedge.formats.logs import RawLog
 from kedge.formats.results import as_toml, digest
 from kedge.formats.results_folder import results_folder
 from kedge.reports.findings import principal, said, warnings
@@ -40,13 +42,25 @@ def load(
     Raises:
         KedgeError: either cannot be used; one message says where and why.
     """
-    overrides = settings(changes)
+    return load_with_raw(rig, log, truth, until, changes)[0]
+
+
+def load_with_raw(
+    rig: str, log: str, truth: str, until: float | None, changes: Sequence[str] | None
+) -> tuple[Problem, RawLog]:
+    """The same, and the log as it was recorded, to which other rigs can be fitted.
+
+    Raises:
+        KedgeError: either cannot be used; one message says where and why.
+    """
     with console_progress() as progress:
         progress(f"reading {log}")
-        problem = load_problem(rig, log, truth=truth, until=until, overrides=overrides)
+        config = load_rig_config(rig, settings(changes))
+        raw = read_raw(config, log)
+        problem = fitted(config, raw, log, truth, until)
     for note in problem.notes:
         print(f"note: {note}", file=sys.stderr)
-    return problem
+    return problem, raw
 
 
 def execute(

@@ -84,9 +84,6 @@ def load_problem(
 ) -> Problem:
     """Read a rig and a log and fit them together.
 
-    Estimation starts at the first control, without one at the first reading; later if the
-    prior needs a true pose that comes later. What is before is left out and counted.
-
     Args:
         rig: a shipped rig's name or a TOML file, or one that is read already.
         log: PATH or PATH#PART.
@@ -99,8 +96,30 @@ def load_problem(
         KedgeError: a file cannot be used, or rig and log do not fit; one line for each mistake.
     """
     config = rig if isinstance(rig, RigConfig) else load_rig_config(rig, overrides)
+    return fitted(config, read_raw(config, log), log, truth, until)
+
+
+def read_raw(config: RigConfig, log: str) -> RawLog:
+    """The log as it was recorded.
+
+    Raises:
+        KedgeError: it cannot be read, or the rig cannot be built whatever stands in it.
+    """
     build_vehicle(config)  # what does not fit is said before a long file is read
-    raw = read_log(log, config.format, config.bag, config.map_origin)
+    return read_log(log, config.format, config.bag, config.map_origin)
+
+
+def fitted(
+    config: RigConfig, raw: RawLog, log: str, truth: str = "auto", until: float | None = None
+) -> Problem:
+    """A rig and a log that was read: see :func:`load_problem`; messages call it ``log``.
+
+    Estimation starts at the first control, without one at the first reading; later if the
+    prior needs a true pose that comes later. What is before is left out and counted.
+
+    Raises:
+        KedgeError: they do not fit.
+    """
     if config.standing is not None:
         raw = with_standing(config.standing, raw, config.origin)
     bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)

@@ -168,7 +168,7 @@ C = TypeVar("C", bound=AbstractRigConfig)
 
 
 def load_config(
-    kind: str, name: str, model: type[C], overrides: Mapping[str, str] | None = None
+    kind: str, name: str, model: type[C], overrides: Mapping[str, Any] | None = None
 ) -> C:
     """Read a shipped file of a ``kind`` ("rigs", "scenarios") by name, or a file by path.
 
@@ -216,12 +216,12 @@ def _require_platform() -> None:
         ) from error
 
 
-def load_rig_config(rig: str, overrides: Mapping[str, str] | None = None) -> RigConfig:
+def load_rig_config(rig: str, overrides: Mapping[str, Any] | None = None) -> RigConfig:
     """Read a shipped rig by name, or a TOML file by path.
 
     Args:
         rig: a name without a slash or ``.toml`` is that of a shipped rig.
-        overrides: dotted key -> value as TOML, in place of what the file says.
+        overrides: dotted key -> value, in place of what the file says; words as TOML.
 
     Raises:
         UnknownName: no rig of that name is shipped.

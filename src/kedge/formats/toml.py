@@ -73,11 +73,11 @@ class Strict(BaseModel):
 def read_toml(
     path: Path,
     model: type[M],
-    overrides: Mapping[str, str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
     error: type[KedgeError] = ConfigError,
     complete: Callable[[dict[str, Any], Path], dict[str, Any]] = lambda tree, path: tree,
 ) -> M:
-    """Read a file into ``model``; ``overrides`` are values, as TOML, by dotted key.
+    """Read a file into ``model``; ``overrides`` are values by dotted key, words as TOML.
 
     ``complete`` adds what the file leaves to others, before the overrides.
 
@@ -115,8 +115,9 @@ def read_toml(
     raise error("\n".join(lines))
 
 
-def _set(tree: dict[str, Any], key: str, text: str) -> Keys:
-    """Put one override into the tree; a bare word needs no quotes."""
+def _set(tree: dict[str, Any], key: str, value: Any) -> Keys:
+    """Put an override into the tree: a value, or its TOML; a bare word needs no quotes."""
+    text = str(value)
     place = f"--set {key}={text if len(text) < MOST_SHOWN else f'{text[:MOST_SHOWN]}...'}"
     try:
         nested, keys = tomllib.loads(f"{key} = 0"), []
@@ -126,7 +127,8 @@ def _set(tree: dict[str, Any], key: str, text: str) -> Keys:
     except ValueError as failure:
         raise ConfigError(f"{place}: found {key!r}, expected a dotted key") from failure
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        if isinstance(value, str):
+            value = tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError) as failure:
         if not re.fullmatch(r"[A-Za-z_][\w.:=,+-]*", text):
             raise ConfigError(

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.special import gammaln
@@ -13,7 +12,7 @@ from scipy.special import gammaln
 from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
-from kedge.estimation.batch import Estimates, pass_over
+from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Recording, Truth
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.score import truth_at
@@ -166,6 +165,6 @@ class Losses(eqx.Module):
 
     def __call__(self, rig: Rig, log: Log) -> tuple[Float[Array, " N"], Int[Array, ""]]:
         """The losses, and how many readings were fused: a number that must not change."""
-        estimates = pass_over(self.filter, rig, log, jr.key(0), False)[0]
+        estimates = estimate(self.filter, rig, log)
         losses, count = innovation_losses(estimates, log.schedule.sensor, self.tails)
         return (losses if self.known is None else truth_losses(estimates, self.known)[0]), count
