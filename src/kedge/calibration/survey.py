@@ -4,12 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from kedge.calibration.anchors import usable_pairs
 from kedge.core.errors import DataError
 from kedge.evaluation.trajectory import umeyama
-
-STEPS = 200
 
 
 class Survey(NamedTuple):
@@ -70,42 +69,30 @@ def self_survey(
         places = np.asarray(guess, float)
     places = framed(places)
     weight = np.sqrt(copies) / std
-    fixed = [0, 1, 3]
-    free = [i for i in range(2 * count) if i not in fixed]
-    delays = np.zeros(count)
-    lifted = delay_std is not None
-    damping, misfit = 1e-3, np.zeros(0)
-    normal = np.eye(len(free))
+    free = [i for i in range(2 * count) if i not in (0, 1, 3)]
 
-    def errors(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        far = np.linalg.norm(points[rows] - points[columns], axis=1)
-        weighted = (value - far - offsets[rows] - offsets[columns]) * weight
-        return np.concatenate([weighted, -offsets / delay_std]) if delay_std else weighted
+    def layout(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        moved = places.ravel().copy()
+        moved[free] = point[: len(free)]
+        return moved.reshape(-1, 2), point[len(free) :]
 
-    for _ in range(STEPS):
-        misfit = errors(places, delays)
-        slope = _slopes(places, rows, columns, weight, delay_std)
-        slope = slope[:, free + ([2 * count + i for i in range(count)] if lifted else [])]
-        normal = slope.T @ slope
-        step = np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal) + 1e-12), slope.T @ misfit
-        )
-        shifted = places.copy().ravel()
-        shifted[free] += step[: len(free)]
-        trial = shifted.reshape(-1, 2), delays + (step[len(free) :] if lifted else 0.0)
-        later = errors(*trial)
-        if later @ later <= misfit @ misfit:
-            places, delays, damping = *trial, max(damping / 10, 1e-12)
-            if np.abs(step).max() < 1e-13:
-                break
-        else:
-            damping = min(damping * 10, 1e12)
+    def misfit(point: np.ndarray) -> np.ndarray:
+        at, delays = layout(point)
+        expected = np.linalg.norm(at[rows] - at[columns], axis=1)
+        if delay_std is None:
+            return (value - expected) * weight
+        errors = (value - expected - delays[rows] - delays[columns]) * weight
+        return np.concatenate([errors, delays / delay_std])
+
+    start = np.concatenate([places.ravel()[free], np.zeros(count if delay_std else 0)])
+    fit = least_squares(misfit, start, "3-point", xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    found, delays = layout(fit.x)
     spread = np.zeros(2 * count)
-    spread[free] = np.diag(np.linalg.pinv(normal))[: len(free)]
+    spread[free] = np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))[: len(free)]
     return Survey(
-        places,
-        delays,
-        float(np.sqrt(np.mean((errors(places, delays)[: len(value)] / weight) ** 2))),
+        found,
+        delays if delay_std else np.zeros(count),
+        float(np.sqrt(np.mean((misfit(fit.x)[: len(value)] / weight) ** 2))),
         np.sqrt(spread.reshape(-1, 2).sum(axis=1)),
     )
 
@@ -138,27 +125,3 @@ def _scaled(
     centre = np.eye(count) - 1 / count
     size, axes = np.linalg.eigh(-centre @ squared @ centre / 2)
     return axes[:, -2:] * np.sqrt(np.maximum(size[-2:], 1e-12))
-
-
-def _slopes(
-    places: np.ndarray,
-    rows: np.ndarray,
-    columns: np.ndarray,
-    weight: np.ndarray,
-    delay_std: float | None,
-) -> np.ndarray:
-    """Derivatives of the expected values by all coordinates and delays."""
-    count, pairs = len(places), len(rows)
-    away = places[rows] - places[columns]
-    unit = away / np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None]
-    slope = np.zeros((pairs, 3 * count))
-    each = np.arange(pairs)
-    for axis in range(2):
-        slope[each, 2 * rows + axis] = unit[:, axis]
-        slope[each, 2 * columns + axis] = -unit[:, axis]
-    slope[each, 2 * count + rows] = slope[each, 2 * count + columns] = 1.0
-    slope = slope * weight[:, None]
-    if delay_std is None:
-        return slope
-    pull = np.hstack([np.zeros((count, 2 * count)), np.eye(count) / delay_std])
-    return np.vstack([slope, pull])

@@ -55,8 +55,8 @@ class TimeSums(NamedTuple):
         return TimeSums(*(np.asarray(a) + np.asarray(b) for a, b in pairs))
 
 
-class Piece(NamedTuple):
-    """One filter's share of a chunk."""
+class Result(NamedTuple):
+    """One filter's study, or its share of a chunk."""
 
     runs: RunScores
     """After the burn-in."""
@@ -64,10 +64,10 @@ class Piece(NamedTuple):
     """Over all times."""
     sums: TimeSums
     seconds: float = 0.0
-    """Of the filter's passes; neither of simulating nor of scoring."""
+    """Of the filter's passes, without compiling; neither of simulating nor of scoring."""
     compile_seconds: float = 0.0
     compiler: str = ""
-    """Whose code did the passes: native or xla."""
+    """Whose code did the passes: native or xla; both, if machines differ."""
     example: Mapping[str, np.ndarray] = {}
     """The study's first run: fields of the mean at the scored times; empty in other chunks."""
     track: Mapping[str, np.ndarray] = {}
@@ -79,29 +79,11 @@ class Piece(NamedTuple):
 class Part(NamedTuple):
     """A chunk's runs, scored: a piece for each filter."""
 
-    pieces: Mapping[str, Piece]
+    pieces: Mapping[str, Result]
     truth: Mapping[str, np.ndarray] = {}
     """The truth of the study's first run at the scored times; empty in other chunks."""
     readings: Mapping[str, np.ndarray] = {}
     """Its readings of fields of the state, by ``sensor.field``."""
-
-
-class Result(NamedTuple):
-    """One filter's study."""
-
-    runs: RunScores
-    """After the burn-in."""
-    whole: RunScores
-    """Over all times."""
-    sums: TimeSums
-    seconds: float
-    """Of the filter's passes over all runs, without compiling; summed over processes."""
-    compile_seconds: float = 0.0
-    example: Mapping[str, np.ndarray] = {}
-    track: Mapping[str, np.ndarray] = {}
-    compiler: str = ""
-    """Whose code did the passes; both, if machines differ."""
-    windows: Mapping[str, RunScores] = {}
 
 
 class Tally:
@@ -114,27 +96,26 @@ class Tally:
         self.names = tuple(names)
         self.truth: Mapping[str, np.ndarray] = {}
         self.readings: Mapping[str, np.ndarray] = {}
-        self._runs: dict[str, list[dict[str, RunScores]]] = {n: [] for n in names}
-        self._sums: dict[str, TimeSums] = {}
-        self._seconds = dict.fromkeys(names, 0.0)
-        self._compiling = dict.fromkeys(names, 0.0)
-        self._compilers: dict[str, set[str]] = {n: set() for n in names}
-        self._examples: dict[str, Mapping[str, np.ndarray]] = {}
-        self._tracks: dict[str, Mapping[str, np.ndarray]] = {}
+        self._runs: dict[str, list[tuple[RunScores, ...]]] = {n: [] for n in names}
+        self._latest: dict[str, Result] = {}
 
     def add(self, part: Part) -> None:
         """Take in the next chunk."""
         for name in self.names:
-            piece = part.pieces[name]
-            apart = {f"windows.{w}": scores for w, scores in piece.windows.items()}
-            self._runs[name].append({"runs": piece.runs, "whole": piece.whole} | apart)
-            before = self._sums.get(name)
-            self._sums[name] = piece.sums if before is None else before.plus(piece.sums)
-            self._seconds[name] += piece.seconds
-            self._compiling[name] += piece.compile_seconds
-            self._compilers[name].add(piece.compiler)
-            if piece.example:
-                self._examples[name], self._tracks[name] = piece.example, piece.track
+            piece, before = part.pieces[name], self._latest.get(name)
+            self._runs[name].append((piece.runs, piece.whole, *piece.windows.values()))
+            if before is not None:
+                piece = piece._replace(
+                    sums=before.sums.plus(piece.sums),
+                    seconds=before.seconds + piece.seconds,
+                    compile_seconds=before.compile_seconds + piece.compile_seconds,
+                    compiler=" and ".join(
+                        sorted({*before.compiler.split(" and "), piece.compiler})
+                    ),
+                    example=piece.example or before.example,
+                    track=piece.track or before.track,
+                )
+            self._latest[name] = piece
         self.truth = part.truth or self.truth
         self.readings = part.readings or self.readings
 
@@ -144,23 +125,13 @@ class Tally:
         Raises:
             DataError: nothing was added.
         """
-        if not self._sums:
+        if not self._latest:
             raise DataError("study: found no finished runs, expected at least one chunk")
         results = {}
-        for name in self.names:
-            parts = self._runs[name]
-            whole = {key: _joined([part[key] for part in parts]) for key in parts[0]}
-            results[name] = Result(
-                runs=whole.pop("runs"),
-                whole=whole.pop("whole"),
-                sums=self._sums[name],
-                seconds=self._seconds[name],
-                compile_seconds=self._compiling[name],
-                example=self._examples.get(name, {}),
-                track=self._tracks.get(name, {}),
-                compiler=" and ".join(sorted(self._compilers[name])),
-                windows={key.removeprefix("windows."): window for key, window in whole.items()},
-            )
+        for name, latest in self._latest.items():
+            runs, whole, *windows = map(_joined, zip(*self._runs[name], strict=True))
+            by_window = dict(zip(latest.windows, windows, strict=True))
+            results[name] = latest._replace(runs=runs, whole=whole, windows=by_window)
         return results
 
 
@@ -201,7 +172,7 @@ def unpack(arrays: Mapping[str, np.ndarray], names: Sequence[str]) -> Part:
             for key, leaf in below(f"{place}.windows.").items():
                 field, _, window = key.partition(".")
                 apart.setdefault(window, {})[field] = leaf
-            pieces[name] = Piece(
+            pieces[name] = Result(
                 RunScores(**below(f"{place}.runs.")),
                 RunScores(**below(f"{place}.whole.")),
                 TimeSums(**below(f"{place}.sums.")),

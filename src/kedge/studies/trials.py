@@ -28,7 +28,7 @@ from kedge.simulation.loop import start_near
 from kedge.simulation.scenario import LoopFilter, Scenario
 from kedge.simulation.simulate import Simulation, simulate
 from kedge.studies.measure import given_of, per_run, pick_of, scored
-from kedge.studies.scores import Part, Piece, Result, RunScores, Tally, chunks_of
+from kedge.studies.scores import Part, Result, RunScores, Tally, chunks_of
 from kedge.studies.study import Plan, Study
 
 CHUNK = 16
@@ -128,18 +128,16 @@ class Trials:
             settled, whole, *windows = (
                 RunScores(*(leaf[cut] for leaf in s)) for s in (settled, whole, *apart.values())
             )
-            shown = example._asdict() if number == 0 else {}
-            of_each = dict(zip(apart, windows, strict=True))
-            pieces[name] = Piece(
-                settled,
-                whole,
-                sums,
-                seconds,
-                compiling,
-                runner.compiler,
-                shown,
-                shown_truth[0],
-                of_each,
+            pieces[name] = Result(
+                runs=settled,
+                whole=whole,
+                sums=sums,
+                seconds=seconds,
+                compile_seconds=compiling,
+                compiler=runner.compiler,
+                example=example._asdict() if number == 0 else {},
+                track=shown_truth[0],
+                windows=dict(zip(apart, windows, strict=True)),
             )
         return Part(pieces, *(first or ()))
 
