@@ -22,17 +22,13 @@ REPLICATES = 2000
 
 
 class Curves(NamedTuple):
-    """One filter over time: means over the runs, with the bounds that they should keep."""
+    """One filter over time: means over the runs, with the bounds that its NEES should keep."""
 
     time: Float[np.ndarray, " K"]
     rmse: Mapping[str, Float[np.ndarray, " K"]]
     """By field."""
     nees: Float[np.ndarray, " K"]
     nees_bounds: tuple[float, float]
-    nis_time: Float[np.ndarray, " E"]
-    nis: Float[np.ndarray, " E"]
-    """Divided by the degrees of freedom: 1 if the model is right."""
-    nis_bounds: tuple[Float[np.ndarray, " E"], Float[np.ndarray, " E"]]
 
 
 def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, StudyScores]:
@@ -177,31 +173,21 @@ def by_time(study: Study, result: Result, other: Result) -> MeansOverTime:
 
 
 def curves(study: Study, result: Result) -> Curves:
-    r"""Means over runs at each time; NEES and NIS with the two-sided 95 % bounds of their mean.
+    r"""Means over runs at each time; NEES with the two-sided 95 % bounds of its mean.
 
     Source: Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with Applications to
     Tracking and Navigation", 2001, section 5.4.2.
     """
-    states, sums, plan = _states(study), result.sums, study.plan
+    states, sums = _states(study), result.sums
     count = max(int(sums.total), 1)
     squared = np.asarray(sums.squared) / count
-    dof, fused = np.asarray(sums.nis_dof), np.asarray(sums.nis_count)
-    judged = dof > 0
-    # Few readings differ in how many there are and how large: find each bound once.
-    kinds, kind = np.unique(np.stack([dof, fused], 1)[judged], axis=0, return_inverse=True)
-    bounds = [chi_square_interval(d / n, int(n)) for d, n in kinds.tolist()]
-    ends = np.array(bounds).reshape(-1, 2)[kind.ravel()]
-    each = (dof / np.maximum(fused, 1))[judged]
     return Curves(
-        time=plan.time,
+        time=study.plan.time,
         rmse={
             name: np.sqrt(squared[:, cut].sum(axis=1)) for name, cut in states.slices().items()
         },
         nees=np.asarray(sums.nees) / count,
         nees_bounds=chi_square_interval(states.size, count),
-        nis_time=plan.sensed_time[judged],
-        nis=np.asarray(sums.nis)[judged] / dof[judged],
-        nis_bounds=(ends[:, 0] / each, ends[:, 1] / each),
     )
 
 
