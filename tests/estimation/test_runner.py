@@ -25,7 +25,9 @@ def given():
     log = recording.log._replace(
         controls=jax.tree.map(lambda leaf: np.stack([leaf] * COUNT), recording.log.controls),
         readings=jax.tree.map(
-            lambda leaf: leaf + noise if leaf.dtype == float else np.stack([leaf] * COUNT),
+            lambda leaf: (
+                np.asarray(leaf) + noise if leaf.dtype == float else np.stack([leaf] * COUNT)
+            ),
             recording.log.readings,
         ),
     )
