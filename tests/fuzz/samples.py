@@ -36,6 +36,7 @@ def write_all(folder: Path) -> dict[str, tuple[str, Path]]:
         "lias": ("lias_trolley", folder / "lias"),
         "euroc": ("euroc_mh01_imu", folder / "euroc"),
     }
+    found |= _receivers(folder)
     bags = importlib.import_module("test_bags")
     for kind in bags.KINDS:
         place = folder / kind.replace(" ", "_")
@@ -114,6 +115,23 @@ def _text(folder: Path) -> None:
     poses = "".join(f"1403636579.{76 + k} {k} 0 0 0 0 0 1\n" for k in range(8))
     (folder / "euroc" / "MH01_gt_tum.txt").write_text(poses)
     (folder / "tum" / "poses.tum").write_text("# poses\n" + poses)
+
+
+def _receivers(folder: Path) -> dict[str, tuple[str, Path]]:
+    """A few fixes as NMEA, u-blox and GPX, by the tests' own writers."""
+    geodetic, ublox = (importlib.import_module(f"test_{n}") for n in ("geodetic", "ublox"))
+    course = "4800.0,N,00900.0,E,10.0,090.0,311223,,,A"
+    lines = [geodetic.sentence(f"GPRMC,120000.00,A,{course}")]
+    lines += [geodetic.gga(f"1200{k:02d}.00", k / 10) for k in range(6)]
+    points = (geodetic.POINT.format(48 + k, f"2024-01-01T00:00:0{k}Z") for k in range(6))
+    contents = {
+        "nmea": "\r\n".join(lines).encode(),
+        "ublox": b"".join(ublox.solution(k, 48 + k / 1000) for k in range(6)),
+        "gpx": geodetic.GPX.format("".join(points)).encode(),
+    }
+    for name, data in contents.items():
+        (folder / f"drive.{name}").write_bytes(data)
+    return {name: (name, folder / f"drive.{name}") for name in contents}
 
 
 def _starloc(folder: Path) -> None:

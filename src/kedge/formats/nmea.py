@@ -59,20 +59,26 @@ def read_nmea(path: Path, part: str | None = None) -> RawLog:
     if part is not None:
         raise DataError(f"{path}: found part {part!r}, expected none: a file has no parts")
     try:
-        from pynmeagps import NMEAParseError, NMEAReader
+        from pynmeagps import NMEAReader
     except ImportError:
         raise DataError(
             f"{path}: reading NMEA needs another package: pip install 'kedge-nav[nautical]'"
         ) from None
-    sentences, wrong = [], []
+    sentences: list[tuple[int, Any]] = []
+    wrong: list[tuple[int, object]] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         at = line.find("$")  # loggers like to put a time of their own before it
         if at < 0:
             continue
         try:
-            sentences.append((number, NMEAReader.parse(line[at:].strip().encode())))
-        except (NMEAParseError, ValueError, KeyError, IndexError) as error:
+            sentence = NMEAReader.parse(line[at:].strip().encode())
+        except Exception as error:  # a library's many, and to the user one: it is damaged
             wrong.append((number, error))
+            continue
+        if sentence is None:
+            wrong.append((number, "no sentence"))
+        else:
+            sentences.append((number, sentence))
     rows = _rows(sentences)
     notes = []
     if wrong:

@@ -64,7 +64,13 @@ def read_ublox(path: Path, part: str | None = None) -> RawLog:
     stream = reader(
         io.BytesIO(data), protfilter=UBX_ONLY, quitonerror=PASS_OVER, errorhandler=wrong.append
     )
-    solutions: list[Any] = [m for _, m in stream if getattr(m, "identity", "") == "NAV-PVT"]
+    solutions: list[Any] = []
+    try:
+        solutions += (m for _, m in stream if getattr(m, "identity", "") == "NAV-PVT")
+    except Exception as error:  # what the library lets through is damage of another kind
+        raise DataError(
+            f"{path}: cannot be read after {len(solutions)} NAV-PVT messages: {error}"
+        ) from error
     timed = [m for m in solutions if m.validDate and m.validTime]
     if not timed:
         raise DataError(
