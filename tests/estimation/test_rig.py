@@ -148,3 +148,9 @@ def test_parameters_become_arrays_of_one_type():
         assert (leaf.dtype, leaf.weak_type) == (jnp.float64, False)
     assert as_arrays(3).dtype == jnp.int64
     assert as_arrays(np.arange(3)).dtype == jnp.int64
+
+
+def test_a_rig_may_be_made_while_a_program_is_traced():
+    """Studies do so for a filter with a vehicle of its own: all that is computed is traced."""
+    cov = jax.eval_shape(lambda: rig(gnss="gnss", camera="landmarks").prior.cov)
+    assert cov.shape == (3, 3)

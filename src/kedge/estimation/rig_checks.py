@@ -77,19 +77,20 @@ def check_noise(sensors: "Sequence[Installation]", vehicle: AbstractVehicle, mea
         ContractError: a standard deviation is not above 0, or a density is below 0 or NaN.
     """
     for installation in sensors:
-        if _traced((installation, mean)):
-            continue
         sensor = installation.sensor.for_target(0)
         std = sensor.noise_std(sensor.project(mean))
+        if _traced(std):
+            continue  # checked before, where it was a number
         for field, value in std._asdict().items():
             if not np.all(np.asarray(value) > 0):
                 raise ContractError(
                     f"sensors.{installation.name}: the noise of {field} has the standard "
                     f"deviation {np.asarray(value).tolist()}, expected above 0"
                 )
-    if _traced(vehicle):
+    density = vehicle.noise_density()
+    if _traced(density):
         return
-    for field, value in vehicle.noise_density()._asdict().items():
+    for field, value in density._asdict().items():
         if not np.all(np.asarray(value) >= 0):
             raise ContractError(
                 f"vehicle: the noise density of {field} is {np.asarray(value).tolist()}, "
