@@ -100,8 +100,8 @@ def test_same_history_and_smoother(problem):
     assert_same(found, estimate_with_history(filter, scenario.rig, log, engine="xla"))
 
 
-def test_runs_are_those_of_one_log_each(problem):
-    """11 runs: a whole register of them, and one that is only partly used."""
+def test_runs_are_those_of_one_log_each(problem, monkeypatch):
+    """11 runs, the last register only partly used: all in one call, or four in each."""
     scenario, log = problem
     filter, keys = kedge.make_filter("extended"), jr.split(jr.key(1), 11)
     logs = jax.vmap(
@@ -110,8 +110,10 @@ def test_runs_are_those_of_one_log_each(problem):
         )
     )(keys)._replace(schedule=log.schedule)
     whole = kedge.estimate_runs(filter, scenario.rig, logs, engine="native")
+    monkeypatch.setattr(native, "MOST_BYTES", 1)
+    monkeypatch.setattr(native, "cores", lambda: 1)
     parts = kedge.estimate_runs(
-        filter, scenario.rig, logs, engine="native", chunk=8, keep=lambda e: e.moments
+        filter, scenario.rig, logs, engine="native", keep=lambda e: e.moments
     )
     for mine, theirs in zip(
         jax.tree.leaves(parts), jax.tree.leaves(whole.moments), strict=True
