@@ -1,17 +1,21 @@
 """After every step a belief is finite, of no variance below 0, or it is kept and that said."""
 
 import functools
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
+from jaxtyping import Array, Float
 
 import kedge
 from kedge.config.filters import build_filter
 from kedge.core.beliefs import Gaussian
+from kedge.core.contracts import AbstractMeasurementModel
 from kedge.core.errors import ContractError, DataError
+from kedge.core.manifolds import Euclidean
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Readings, Stamped, assemble
 from kedge.estimation.rig import Installation
@@ -116,6 +120,47 @@ def test_posterior_linearisation_with_exact_readings_is_the_kalman_filter(spread
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
     variances = np.asarray(found)[:, 4:].reshape(-1, 4, 4).diagonal(axis1=1, axis2=2)
     assert (variances >= 0).all()
+
+
+class Six(NamedTuple):
+    x: Annotated[Float[Array, "6"], Euclidean("m", (6,))]
+
+
+class Three(NamedTuple):
+    z: Annotated[Float[Array, "3"], Euclidean("m", (3,))]
+
+
+class Exact(AbstractMeasurementModel):
+    """Three sums of six components, without noise."""
+
+    weights: Float[Array, "3 6"]
+
+    def expect(self, state):
+        return Three(self.weights @ state.x)
+
+    def noise_cov(self, state):
+        return jnp.zeros((3, 3))
+
+    def dof(self):
+        return 3
+
+
+def test_exact_readings_of_badly_scaled_states_leave_numbers():
+    """Two of these 200 were NaN while the posterior was a product that could be indefinite."""
+    rng, filter = np.random.default_rng(0), build_filter("posterior-linearisation")
+    F = np.kron([[1.0, 1.0], [0.0, 1.0]], np.eye(3))
+    Q = 1e-6 * np.kron([[1 / 3, 1 / 2], [1 / 2, 1.0]], np.eye(3))
+    model = Exact(jnp.asarray(rng.standard_normal((3, 6))))
+    update = jax.jit(lambda belief, z: filter.update(model, belief, Three(z), KEY)[0])
+    for _ in range(200):
+        root = 10.0 ** rng.uniform(-3, 5, 6)[:, None] * rng.standard_normal((6, 6))
+        belief = Gaussian(Six(jnp.zeros(6)), jnp.asarray(root @ root.T))
+        for _ in range(3):
+            belief = update(belief, jnp.asarray(rng.standard_normal(3)))
+            assert is_sound(belief)
+            cov = F @ np.asarray(belief.cov) @ F.T + Q
+            mean = Six(jnp.asarray(F @ np.asarray(belief.mean.x)))
+            belief = Gaussian(mean, jnp.asarray((cov + cov.T) / 2))
 
 
 @pytest.mark.parametrize("name", ["unscented", "additive-unscented"])

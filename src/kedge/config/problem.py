@@ -277,6 +277,11 @@ def _silences(control_stamps: Int64[np.ndarray, " n"], end: int) -> list[str]:
     gaps = np.diff(np.append(control_stamps, end)) / SECOND
     long = int((gaps[:-1] > SILENCE).sum())
     notes = [f"control: {long} gaps of more than {SILENCE:g} s; the last is held"] * bool(long)
+    if len(gaps) > 2 and (usual := float(np.median(gaps[:-1]))) > SILENCE:
+        notes.append(
+            f"control: its usual step is {usual:g} s; if that is wrong, its stamps are of "
+            "another unit (time_unit)"
+        )
     if gaps[-1] > SILENCE:
         notes.append(f"control: it ends {gaps[-1]:.1f} s before the log; the last is held")
     return notes

@@ -70,6 +70,12 @@ class AbstractOdeVehicle(AbstractVehicle[S, U, W]):
 
     The classical rule is applied in the chart at the start of the step, so its order is four
     on flat fields and two on rotations (the correction for a moving chart is left out).
+
+    The noise is held over the step. A position that white acceleration moves gets
+    $q\,\Delta t^3 / 4$ of variance for the $q\,\Delta t^3 / 3$ of noise that is white in
+    continuous time, and $q\,\Delta t^5 / 36$ for $q\,\Delta t^5 / 20$ if it is the jerk. For
+    the exact form write ``step`` with more channels of noise, as
+    ``continuous-white-acceleration`` does.
     """
 
     @abc.abstractmethod
