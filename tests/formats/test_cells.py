@@ -202,3 +202,18 @@ def test_what_a_jump_looks_like(stamps, looks):
     if looks != "the newest row comes first":
         with pytest.raises(DataError, match=f"looks like {looks}"):
             sorted_rows(table, "time", [])
+
+
+def test_names_that_are_whole_numbers_and_columns_without_a_gap(tmp_path):
+    path = tmp_path / "ranges.csv"
+    path.write_text("id,range\n3,1.5\n4.0,\n")
+    cells = read_cells(path)
+    assert cells.identifiers("id") == ["3", "4"]
+    with pytest.raises(
+        DataError, match=r"ranges.csv:3: column 'range': found '', expected a n"
+    ):
+        cells.complete("range")
+    for wrong in ("4.5", "", "nan", "inf", "b"):
+        path.write_text(f"id,range\n3,1.5\n{wrong},2.0\n")
+        with pytest.raises(DataError, match=r"ranges.csv:3: column 'id': .* a whole number"):
+            read_cells(path).identifiers("id")

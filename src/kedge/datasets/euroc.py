@@ -69,7 +69,8 @@ def _imu(path: Path, notes: list[str]) -> Table:
         try:
             row = [float(cell) for cell in cells[1:]]
             stamp = int(cells[0]) if cells[0].isdigit() else round(float(cells[0]))
-        except ValueError:
+            np.int64(stamp)  # or it is too large
+        except (ValueError, OverflowError):
             row, stamp = [], 0
         if len(row) != len(UNITS) or not np.isfinite(row).all():
             notes.append(

@@ -81,14 +81,13 @@ def _file(folder: Path, stem: str) -> Path:
 
 
 def _columns(cells: Cells, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
-    return np.stack([cells.numbers(name) for name in names], axis=1)
+    return np.stack([cells.complete(name) for name in names], axis=1)
 
 
 def _tags(cells: Cells) -> dict[str, Table]:
     """A table of ranges by tag."""
     table = build_table(cells, "radio", "time_s", "s", {"range": ("range", "m")})
-    tags = np.array([str(int(v)) for v in cells.numbers("from_id")])
-    anchors = [str(int(v)) for v in cells.numbers("to_id")]
+    tags, anchors = np.array(cells.identifiers("from_id")), cells.identifiers("to_id")
     table = table._replace(texts={"target": anchors})
     return {
         tag: table.take(np.flatnonzero(tags == tag))._replace(name=f"tag_{tag}")
@@ -102,20 +101,22 @@ def _anchors(cells: Cells) -> TargetMap:
     $2 p^T a - |a|^2 = |p|^2 - d^2$ is linear in the anchor and the square of its distance.
     """
     tags = _columns(cells, tuple(f"tag_pos_{axis}" for axis in PLACE))
-    true, names = cells.numbers("gt_range"), cells.numbers("to_id").astype(int)
-    ids, places = sorted(set(names.tolist())), []
+    true, names = cells.complete("gt_range"), np.array(cells.identifiers("to_id"))
+    ids, places = sorted(set(names.tolist()), key=int), []
     for anchor in ids:
         mine = names == anchor
         rows = np.hstack([2 * tags[mine], -np.ones((mine.sum(), 1))])
         sides = (tags[mine] ** 2).sum(axis=1) - true[mine] ** 2
-        solution, _, rank, _ = np.linalg.lstsq(rows, sides, rcond=None)
+        solution, rank = np.zeros(len(PLACE) + 1), 0
+        if np.isfinite(sides).all():  # squares of finite numbers may not be
+            solution, _, rank, _ = np.linalg.lstsq(rows, sides, rcond=None)
         if rank < 4:
             raise DataError(
                 f"{cells.path}: anchor {anchor}: {mine.sum()} true ranges do not fix its place"
             )
         places.append(solution[:3])
     columns = {f"position_{axis}": np.array(places)[:, i] for i, axis in enumerate(PLACE)}
-    return TargetMap(tuple(map(str, ids)), columns, dict.fromkeys(columns, "m"))
+    return TargetMap(tuple(ids), columns, dict.fromkeys(columns, "m"))
 
 
 def _truth(cells: Cells, notes: list[str]) -> Table:

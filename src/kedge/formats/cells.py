@@ -96,6 +96,26 @@ class Cells(NamedTuple):
         values = np.where(gone, np.nan, np.where(np.isnan(values), np.inf, values))
         return values.astype(float) * factor
 
+    def complete(self, column: str) -> Float[np.ndarray, " n"]:
+        """A column of which no number is missing.
+
+        Raises:
+            DataError: one is, or a cell is no number or not finite.
+        """
+        values = self.numbers(column)
+        if np.isnan(values).any():
+            at = int(np.argmax(np.isnan(values)))
+            raise self._wrong(at, column, repr(self.text(column)[at]), "a number")
+        return values
+
+    def identifiers(self, column: str) -> list[str]:
+        """A column of whole numbers that are names, each written in one way.
+
+        Raises:
+            DataError: a cell is no whole number.
+        """
+        return self._parsed(column, self.text(column), _identifier, "a whole number")
+
     def stamps(
         self, column: str, form: str | TimeForm = "s", notes: list[str] | None = None
     ) -> Int64[np.ndarray, " n"]:
@@ -327,6 +347,13 @@ def _are_units(cells: Sequence[str]) -> bool:
         return not NUMBER.fullmatch(cell)
 
     return any(map(str.strip, cells)) and all(map(is_unit, cells))
+
+
+def _identifier(cell: str) -> str:
+    value = float(cell)
+    if not value.is_integer():
+        raise ValueError
+    return str(int(value))
 
 
 def _whole(cells: Sequence[str]) -> bool:
