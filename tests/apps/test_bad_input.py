@@ -55,11 +55,6 @@ def time_duplicated(site):
 
 
 def infinity_in_a_reading(site):
-    line(site / "log" / "camera.csv", 4, "1.5,a,inf,0.1")
-    return ["camera.csv", "4", "range", "inf"]
-
-
-def infinity_in_a_reading(site):
     line(site / "log" / "camera.csv", 4, "1.5,a,3.0,inf")
     return ["camera.csv", "4", "bearing", "inf"]
 
@@ -151,7 +146,6 @@ CASES = [
     unit_of_another_kind,
     time_going_backwards,
     time_duplicated,
-    infinity_in_a_reading,
     infinity_in_a_reading,
     infinity_in_a_control,
     infinity_in_a_covariance,
