@@ -83,6 +83,16 @@ def test_the_wrong_form_is_named_and_changes_nothing(estimator, given, error, me
     assert estimator.push(1.0, "gnss", EAST).verdict == Verdict.FUSED
 
 
+@pytest.mark.parametrize("filter", [ExtendedKalman(), ENSEMBLE], ids=["extended", "ensemble"])
+def test_a_reading_beyond_all_numbers_spoils_nothing(rig, key, filter):
+    estimator = Estimator(filter, rig, key, control=Control(1.0, 0.0))
+    beyond = Measurement([1e300, 0.0])
+    assert estimator.push(0.5, "gnss", beyond).verdict == Verdict.NOT_FINITE
+    after = estimator.push(1.0, "gnss", EAST)
+    assert after.verdict == Verdict.FUSED
+    assert np.abs(after.moments.mean.position - EAST.position).max() < 1.0
+
+
 @pytest.mark.parametrize("target", [99, 2**63, 10**40, -(10**40)])
 def test_a_target_beyond_all_maps_is_unknown(estimator, target):
     answer = estimator.push(1.0, "camera", Sight(2.0, 0.1), target=target)

@@ -237,7 +237,9 @@ def process_measurement(
     # In rising order of importance: the last reason that applies is the verdict.
     unless(jnp.asarray(score.accepted), Verdict.DROPPED)
     unless(score.nis <= score.threshold, Verdict.GATED)
-    unless(is_sound(posterior) & ~jnp.isnan(score.nis), Verdict.NOT_FINITE)
+    # 1e300 m are as little a reading as infinitely many; a gate calls them an outlier.
+    sensible = jnp.isfinite(score.nis) | jnp.isfinite(score.threshold)
+    unless(is_sound(posterior) & ~jnp.isnan(score.nis) & sensible, Verdict.NOT_FINITE)
     if reading.cov is not None:
         unless(
             is_positive_definite(model.noise_cov(belief.moments().mean)), Verdict.BAD_COVARIANCE
