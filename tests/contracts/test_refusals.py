@@ -292,8 +292,8 @@ class Skewed(ExtendedKalman):
 FILTER = {
     "refuse": "refuses every vehicle: not on a Sunday",
     "skew": "breaks the law 'covariances are symmetric'",
-    "negative": "breaks the law 'covariances have no negative eigenvalue'",
-    "nan": "breaks the law 'the moments are finite",
+    "negative": "breaks the law 'predictions are finite and have no negative variance'",
+    "nan": "breaks the law 'predictions are finite and have no negative variance'",
 }
 
 

@@ -56,7 +56,8 @@ def problem():
     seen = seen._replace(range=seen.range.at[3].set(jnp.nan).at[9].set(jnp.inf))
     target = camera.target.at[5].set(-1).at[6].set(REPEATED)
     fix = gnss.measurement.position.at[2].set(jnp.nan).at[4].add(30.0).at[5, 1].set(jnp.nan)
-    cov = jnp.tile(jnp.eye(2), (len(gnss.target), 1, 1)).at[6].multiply(-1.0)
+    indefinite = jnp.array([[1.0, 2.0], [2.0, 1.0]])
+    cov = jnp.tile(jnp.eye(2), (len(gnss.target), 1, 1)).at[6].set(indefinite)
     readings = (
         camera._replace(measurement=seen, target=target),
         gnss._replace(measurement=gnss.measurement._replace(position=fix), cov=cov),

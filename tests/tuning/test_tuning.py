@@ -301,7 +301,8 @@ def test_what_is_noise_is_asked_of_the_models():
     }  # fmt: skip
     others = {t.key.split(".")[-1] for t in tunables(rig)} - noise
     assert others == {
-        "speed_scale", "turn_slowdown", "yaw_rate_scale", "yaw_per_metre", "lag", "latency",
+        "speed_scale", "turn_slowdown", "yaw_rate_scale", "yaw_rate_bias", "yaw_per_metre",
+        "lag", "latency",
     }  # fmt: skip
 
 

@@ -107,10 +107,14 @@ def advance(
     control: Any,
     dt: Scalar,
     key: PRNGKeyArray,
+    moves: Bool[Array, ""] | None = None,
 ) -> B:
-    """Predict by ``dt`` seconds; an event at the same time as the last one is free."""
+    """Predict by ``dt`` seconds; an event at the same time as the last one is free.
+
+    ``moves`` says whether it is later, where all runs of a batch know that and not ``dt``.
+    """
     return lax.cond(
-        dt > 0,
+        dt > 0 if moves is None else moves,
         lambda: filter.predict(vehicle, belief, control, dt, key),
         lambda: belief,
     )
@@ -136,7 +140,8 @@ def predict_to(
     number = state.predictions + jnp.where(time > state.time, 1, 0)
     dt = time - state.time if dt is None else dt
     whole = jnp.where(dt > 0, jnp.minimum(dt + state.behind, _furthest(vehicle, dt)), dt)
-    motion = filter, vehicle, state.belief, control, whole, prediction_key(key, number)
+    keyed = prediction_key(key, number)
+    motion = filter, vehicle, state.belief, control, whole, keyed, jnp.asarray(dt > 0)
     belief, kept = predict_with_record(*motion) if record else (advance(*motion), None)
     sound = is_sound(belief)
 

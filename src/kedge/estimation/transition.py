@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from kedge.core.beliefs import Ensemble, Gaussian
 from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter, AbstractVehicle
@@ -67,10 +67,14 @@ def predict_with_record(
     control: Any,
     dt: Scalar,
     key: PRNGKeyArray,
+    moves: Bool[Array, ""] | None = None,
 ) -> tuple[Any, History | EnsembleHistory]:
-    """The filter's prediction, and what a smoother needs of it; free where ``dt`` is zero."""
+    """The filter's prediction, and what a smoother needs of it; free where ``dt`` is zero.
+
+    ``moves`` says whether it is not, where all runs of a batch know that and not ``dt``.
+    """
     return lax.cond(
-        dt > 0,
+        dt > 0 if moves is None else moves,
         lambda: _moving(filter, vehicle, belief, control, dt, key),
         lambda: (belief, still(filter, belief)),
     )

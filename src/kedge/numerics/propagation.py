@@ -63,6 +63,11 @@ class AbstractPropagation(eqx.Module):
         """Whether weights may be negative, so that covariances may have to be repaired."""
         return False
 
+    @property
+    def affine(self) -> bool:
+        """Whether every function is taken for an affine one, which leaves no residuals."""
+        return False
+
     @abc.abstractmethod
     def propagated(
         self,
@@ -93,6 +98,11 @@ class Taylor(AbstractPropagation):
     """
 
     affine_only: bool = eqx.field(static=True, default=False)
+
+    @property
+    def affine(self) -> bool:
+        """It is its tangent."""
+        return True
 
     def propagated(
         self,

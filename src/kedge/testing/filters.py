@@ -39,6 +39,13 @@ def check_filter(filter: str | type | AbstractFilter) -> None:
     model, require = member(filter, registry.filters, AbstractFilter)
     key = jr.key(4)
     rig, log, estimates, run = _first_run(model, require, key)
+    unpredicted = int((estimates.outcome.verdict == Verdict.UNPREDICTED).sum())
+    require(
+        "predictions are finite and have no negative variance",
+        unpredicted == 0,
+        found=f"{unpredicted} events that could not be predicted",
+        expected="none",
+    )
     silent = log.schedule._replace(sensor=np.full_like(log.schedule.sensor, -1))
     for index, label in enumerate(("as they are", "spoilt", "missing")):
         moments = row(estimates.moments, index)

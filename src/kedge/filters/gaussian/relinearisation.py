@@ -80,8 +80,11 @@ class AbstractRelinearised(AbstractMomentPrediction):
         for _ in range(self.iterations):
             factors = seen(point, root)
             A = gain(factors.after @ factors.before.T, root)
-            residuals = factors.after - A @ factors.before
-            R = symmetric(residuals @ residuals.T + noise_cov)
+            R, spreads = noise_cov, [noise_root]
+            if not strategy.affine:
+                residuals = factors.after - A @ factors.before
+                R = symmetric(residuals @ residuals.T + noise_cov)
+                spreads = [residuals, noise_root]
             S = symmetric(A @ A.T) + R
             S_root = cholesky(S)
             K = gain(A.T, S_root)
@@ -94,7 +97,7 @@ class AbstractRelinearised(AbstractMomentPrediction):
             weight = cholesky(R + floor)
             point = self._step(point, target, ft.partial(merit, root=root, weight=weight))
             # As a sum of squares: a variance that vanishes must not come out below 0.
-            factor = jnp.concatenate([one - K @ A, K @ residuals, K @ noise_root], axis=1)
+            factor = jnp.concatenate([one - K @ A, *(K @ spread for spread in spreads)], axis=1)
             root = self.around(symmetric(factor @ factor.T))
 
         assert score is not None  # there is at least one iteration
