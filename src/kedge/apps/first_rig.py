@@ -54,7 +54,7 @@ def rig_text(raw: RawLog, preamble: str) -> str:
     """A rig file after ``preamble``, which says where the log's sources are."""
     sets = {name: set(table.columns) for name, table in raw.tables.items()}
     known = set() if raw.truth is None else set(raw.truth.columns)
-    model, source, told = _motion(sets, known)
+    model, source, parameters = _motion(sets, known)
     start = type(vehicles.get(model)().start())
     planar = "heading" in start._fields
     if model == "wandering" and (
@@ -62,7 +62,7 @@ def rig_text(raw: RawLog, preamble: str) -> str:
         or any("position_z" in targets.columns for targets in raw.maps.values())
     ):
         model = "wandering3"
-    lines = [preamble.rstrip("\n"), "", *_vehicle(model, source, told)]
+    lines = [preamble.rstrip("\n"), "", *_vehicle(model, source, parameters)]
     used = set() if source is None else {c for m, c, _ in DRIVEN if m == model for c in c}
     fused: dict[str, set[str]] = {}
     for name, table in raw.tables.items():

@@ -86,11 +86,11 @@ def self_survey(
 
     start = np.concatenate([places.ravel()[free], np.zeros(count if delay_std else 0)])
     fit = least_squares(misfit, start, "3-point", xtol=1e-15, ftol=1e-15, gtol=1e-12)
-    found, delays = layout(fit.x)
+    positions, delays = layout(fit.x)
     spread = np.zeros(2 * count)
     spread[free] = np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))[: len(free)]
     return Survey(
-        found,
+        positions,
         delays if delay_std else np.zeros(count),
         float(np.sqrt(np.mean((misfit(fit.x)[: len(value)] / weight) ** 2))),
         np.sqrt(spread.reshape(-1, 2).sum(axis=1)),

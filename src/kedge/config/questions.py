@@ -53,9 +53,9 @@ def odd_clocks(
             continue
         begin, end = (float(stamps[at] - control[at]) / SECOND for at in (0, -1))
         usual = float(np.median(np.diff(stamps))) / SECOND
-        apart = min(abs(begin), abs(end))
-        if apart > max(LATE, 3 * usual) and abs(begin - end) < ALIKE * apart:
-            when = f"{apart:.3g} s {'after' if begin > 0 else 'before'}"
+        offset = min(abs(begin), abs(end))
+        if offset > max(LATE, 3 * usual) and abs(begin - end) < ALIKE * offset:
+            when = f"{offset:.3g} s {'after' if begin > 0 else 'before'}"
             yield (
                 f"{name}: begins and ends {when} the control does; do their clocks differ? "
                 "(latency, or a topic's offset, mends it)"

@@ -20,6 +20,7 @@ from kedge.formats.cells import Cells
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table, in_order, table_of
 from kedge.formats.text import read_text
+from kedge.formats.times import since_1970
 
 TAGS = 3
 SURVEYED = 1 / 3
@@ -139,4 +140,4 @@ def _stamp(path: Path, line: int, text: str) -> int:
         raise DataError(
             f"{path}:{line}: found {text!r}, expected a time such as 2022-08-15 9:42:24.766"
         ) from None
-    return round(moment.replace(microsecond=0).timestamp()) * 10**9 + moment.microsecond * 1000
+    return since_1970(moment)

@@ -149,8 +149,8 @@ class Runner:
         """What XLA's program is called with, for a log alone or for some of the runs."""
         if index is not None:
             given, index = self._rows(given, rows), index[rows]
-        own = eqx.partition(given, False if self._per_run is None else self._per_run)
-        return *own, index, *self._options
+        split = eqx.partition(given, False if self._per_run is None else self._per_run)
+        return *split, index, *self._options
 
 
 def parts(runs: int, most: int) -> list[Int[np.ndarray, " part"]]:
@@ -173,7 +173,7 @@ def _picked(keep: Callable[[Estimates], Any], estimates: Estimates) -> Any:
 
 
 def _pass(
-    own: Any,
+    of_run: Any,
     common: Any,
     index: Int[Array, " runs"] | None,
     key: PRNGKeyArray,
@@ -182,14 +182,14 @@ def _pass(
 ) -> tuple[Any, Any]:
     """XLA's program, with what is a run's own apart from what all share."""
 
-    def one(own: Any, key: PRNGKeyArray) -> tuple[Any, Any]:
-        filter, rig, log = eqx.combine(own, common)
+    def one(of_run: Any, key: PRNGKeyArray) -> tuple[Any, Any]:
+        filter, rig, log = eqx.combine(of_run, common)
         estimates, past = pass_over(filter, rig, log, key, history)
         return estimates if keep is None else keep(estimates), past
 
     if index is None:
-        return one(own, key)
-    return jax.vmap(lambda run, own: one(own, jr.fold_in(key, run)))(index, own)
+        return one(of_run, key)
+    return jax.vmap(lambda run, of_run: one(of_run, jr.fold_in(key, run)))(index, of_run)
 
 
 _passed: Any = eqx.filter_jit(_pass)

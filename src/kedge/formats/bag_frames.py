@@ -34,12 +34,12 @@ def frames_of(messages: Iterable[Any], base: str) -> dict[str, Placed]:
     for message in messages:
         for child, link in _links(message):
             links[child] = link
-    found = {}
+    mounts = {}
     for name in links:
         placed = _from(base, name, links)
         if placed is not None:
-            found[name] = placed
-    return found
+            mounts[name] = placed
+    return mounts
 
 
 def _links(message: Any) -> Iterator[tuple[str, _Link]]:

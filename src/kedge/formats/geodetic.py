@@ -41,10 +41,10 @@ def located(raw: RawLog, origin: OriginConfig | None = None) -> RawLog:
     notes.append(
         f"positions are metres east and north of {degrees} deg, {place['height']:.2f} m ({why})"
     )
-    moved = {name: _in_metres(table, place, notes) for name, table in kept.items()}
+    in_metres = {name: _in_metres(table, place, notes) for name, table in kept.items()}
     return raw._replace(
-        tables={name: moved.get(name, table) for name, table in raw.tables.items()},
-        truth=raw.truth and moved.get(raw.truth.name, raw.truth),
+        tables={name: in_metres.get(name, table) for name, table in raw.tables.items()},
+        truth=raw.truth and in_metres.get(raw.truth.name, raw.truth),
         notes=tuple(notes),
         place=place | raw.place,
     )
@@ -90,9 +90,9 @@ def _origin(
         return {"height": 0.0} | raw.place, "the origin of the log"
     firsts = []
     for table in fixes:
-        there = np.isfinite(table.columns["latitude"] + table.columns["longitude"])
-        if there.any():
-            at = int(np.argmax(there))
+        known = np.isfinite(table.columns["latitude"] + table.columns["longitude"])
+        if known.any():
+            at = int(np.argmax(known))
             place = {name: float(table.columns[name][at]) for name in sorted(FIX)}
             height = float(table.columns.get("altitude", np.zeros(at + 1))[at])
             place["height"] = height if np.isfinite(height) else 0.0

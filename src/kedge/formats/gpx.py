@@ -11,8 +11,7 @@ from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import in_order, table_of
 from kedge.formats.text import read_text
-
-EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+from kedge.formats.times import since_1970
 
 
 @readers.add("gpx")
@@ -45,9 +44,7 @@ def read_gpx(path: Path, part: str | None = None) -> RawLog:
                 f"{path}: point {number}: found lat, lon, time = {point.get('lat')}, "
                 f"{point.get('lon')}, {time}; expected two numbers and a time"
             ) from error
-        since = when - EPOCH
-        seconds = since.days * 86400 + since.seconds
-        stamps.append((seconds * 10**6 + since.microseconds) * 1000)
+        stamps.append(since_1970(when))
         rows.append(row)
     if not rows:
         raise DataError(f"{path}: found no track point (trkpt), expected some")

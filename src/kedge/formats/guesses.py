@@ -122,12 +122,12 @@ COMPASS = {
 
 def compassed(columns: dict[str, Guess]) -> tuple[dict[str, Guess], bool]:
     """The guesses with axes for the points of the compass; whether the frame is NED."""
-    ned = any(found.name == "velocity_down" for found in columns.values())
+    ned = any(guessed.name == "velocity_down" for guessed in columns.values())
     turned = {}
-    for column, found in columns.items():
-        stem, _, point = found.name.rpartition("_")
+    for column, guessed in columns.items():
+        stem, _, point = guessed.name.rpartition("_")
         axis = COMPASS[ned].get(point) if stem == "velocity" else None
-        turned[column] = found._replace(name=f"velocity_{axis}") if axis else found
+        turned[column] = guessed._replace(name=f"velocity_{axis}") if axis else guessed
     return turned, ned
 
 

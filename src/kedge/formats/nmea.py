@@ -15,6 +15,7 @@ from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table, in_order, table_of
 from kedge.formats.text import read_text
+from kedge.formats.times import since_1970
 
 DAY = datetime.timedelta(days=1)
 HALF = DAY / 2
@@ -45,8 +46,7 @@ class _Clock:
         if date is None and self.last is not None and now - self.last < -HALF:
             now += DAY
         self.last, self.dated = now, self.dated or date is not None
-        since = now - MIDNIGHT
-        return ((since.days * 86400 + since.seconds) * 10**6 + since.microseconds) * 1000
+        return since_1970(now)
 
 
 @readers.add("nmea")
@@ -104,7 +104,7 @@ def _rows(sentences: list[tuple[int, Any]]) -> dict[str, list[tuple[int, int, li
     )
     clock.last = _first_day(next(dates, None), sentences)
     rows: dict[str, list[tuple[int, int, list[float]]]] = {name: [] for name in COLUMNS}
-    told = any(s.msgID == "RMC" for _, s in sentences)
+    has_rmc = any(s.msgID == "RMC" for _, s in sentences)
     for number, sentence in sentences:
         time, date = getattr(sentence, "time", None), getattr(sentence, "date", None)
         if isinstance(time, datetime.time):
@@ -117,7 +117,7 @@ def _rows(sentences: list[tuple[int, Any]]) -> dict[str, list[tuple[int, int, li
             place = [_number(sentence.lat), _number(sentence.lon), height]
             quality = [_number(sentence.quality), _number(sentence.HDOP)]
             rows["gnss"].append((stamp, number, place + quality))
-        elif sentence.msgID == "RMC" or (sentence.msgID == "VTG" and not told):
+        elif sentence.msgID == "RMC" or (sentence.msgID == "VTG" and not has_rmc):
             if getattr(sentence, "status", "A") == "V":
                 continue
             rmc = sentence.msgID == "RMC"

@@ -16,13 +16,13 @@ def counted(counts: Columns, counter: float | None) -> dict[str, Float[np.ndarra
 
     Between two rows it must not run through half of its range.
     """
-    found = {}
+    increments = {}
     for name, values in counts.items():
         change = np.diff(values, prepend=values[:1])
         if counter is not None:
             change = (change + counter / 2) % counter - counter / 2
-        found[name] = change
-    return found
+        increments[name] = change
+    return increments
 
 
 def driven(poses: Columns) -> dict[str, Float[np.ndarray, " n"]]:

@@ -53,12 +53,12 @@ def sketch_bag(path: Path) -> tuple[dict[str, SketchedTopic], dict[str, str]]:
         topics, others = {}, dict(bag.topics)
         for topic, message in first.items():
             try:
-                found = _sketched(message, message.decode(), np.array(counts[topic]))
+                sketched = _sketched(message, message.decode(), np.array(counts[topic]))
             except Exception as error:  # a type that nobody can decode is one topic less
                 others[topic] = f"{message.type}: {error}"
                 continue
-            if found.columns:
-                topics[found.name] = found
+            if sketched.columns:
+                topics[sketched.name] = sketched
                 others.pop(topic, None)
     if not topics:
         raise DataError(
@@ -95,9 +95,9 @@ def _sketched(message: Message, content: Any, times: np.ndarray) -> SketchedTopi
         elif quaternion_in(value):
             columns.setdefault("attitude", (way, Guess("attitude", "1", "a quaternion")))
         elif isinstance(value, int | float | np.number) and not isinstance(value, bool):
-            found = guess(way.replace(".", "_"), None)
-            if found and len(way) < len(columns.get(found.name, (way + "+",))[0]):
-                columns[found.name] = way, found
+            guessed = guess(way.replace(".", "_"), None)
+            if guessed and len(way) < len(columns.get(guessed.name, (way + "+",))[0]):
+                columns[guessed.name] = way, guessed
     if target and "range" in columns:  # where the target is, if anything
         columns = {n: c for n, c in columns.items() if not n.startswith("position_")}
     if "speed" in columns and "position_x" in columns:
@@ -176,12 +176,12 @@ def bag_text(topics: dict[str, SketchedTopic], others: dict[str, str], planar: b
         lines += [f"each = {quoted(topic.each)}"] if topic.each else []
         lines += [f"target = {quoted(topic.target)}"] if topic.target else []
         lines += ["", f"[bag.{key}.columns]"]
-        for name, (way, found) in topic.columns.items():
-            unit = found.unit
+        for name, (way, guessed) in topic.columns.items():
+            unit = guessed.unit
             if name == "attitude" and planar:
                 name, unit = "heading", "rad"
             lines.append(
-                f"{name} = {{ field = {quoted(way)}, unit = {quoted(unit)} }}  # {found.why}"
+                f"{name} = {{ field = {quoted(way)}, unit = {quoted(unit)} }}  # {guessed.why}"
             )
     lines += [f"# not used: {topic} ({kind})" for topic, kind in others.items()]
     return "\n".join(lines) + "\n"

@@ -92,19 +92,19 @@ def _sketched(path: Path, file: str) -> SketchedSource:
     guesses: dict[str, tuple[str, Guess]] = {}
     unknown = []
     for column, values in numbers.items():
-        found = None
+        guessed = None
         if column not in times and column not in targets and values is not None:
-            found = guess(column, values)
+            guessed = guess(column, values)
         # Of two columns that mean the same, the one with the shorter name is what is meant.
-        if found and len(column) < len(guesses.get(found.name, (column + "+",))[0]):
-            guesses[found.name] = column, found
+        if guessed and len(column) < len(guesses.get(guessed.name, (column + "+",))[0]):
+            guesses[guessed.name] = column, guessed
     columns = dict(guesses.values())
     columns = weighed(columns, {c: v for c in columns if (v := numbers[c]) is not None})
     columns, ned = compassed(columns)
-    angles = {found.name: column for column, found in columns.items()}
+    angles = {guessed.name: column for column, guessed in columns.items()}
     attitude = tuple(angles[name] for name in ANGLES) if angles.keys() >= {*ANGLES} else ()
     unknown = [c for c in numbers if c not in columns and c not in (times[0], *targets[-1:])]
-    measured = {found.name for found in columns.values()}
+    measured = {guessed.name for guessed in columns.values()}
     target = targets[-1] if targets and measured & {"range", "bearing"} else None
     places = _places(cells, target, columns) if target and "range" in measured else {}
     if places:  # the places of the targets, not of the vehicle
@@ -112,7 +112,7 @@ def _sketched(path: Path, file: str) -> SketchedSource:
     stem = re.sub(r"\W+", "_", re.sub(r"\.(csv|tsv|txt)(\.gz)?$", "", path.name)).strip("_")
     first = numbers[times[0]]
     unit = time_unit(times[0], np.zeros(1) if first is None else first)
-    specs = {column: (found.name, found.unit) for column, found in columns.items()}
+    specs = {column: (guessed.name, guessed.unit) for column, guessed in columns.items()}
     check_order(build_table(cells, stem, times[0], unit, specs, target), times[0])
     return SketchedSource(
         stem,
@@ -166,11 +166,11 @@ def log_text(log: SketchedLog, title: str) -> str:
             order = f'order = "roll-pitch-heading", unit = "{unit}"'
             lines.append(f"attitude = {{ columns = [{names}], {order} }}")
         lines += ["", f"[sources.{source.name}.columns]"] if source.columns else []
-        for column, found in source.columns.items():
+        for column, guessed in source.columns.items():
             if column in source.attitude:
                 continue
-            what = f'{{ unit = "{found.unit}", name = "{found.name}" }}'
-            lines.append(f"{quoted(column)} = {what}  # {found.why}")
+            what = f'{{ unit = "{guessed.unit}", name = "{guessed.name}" }}'
+            lines.append(f"{quoted(column)} = {what}  # {guessed.why}")
         if source.unknown:
             lines.append(f"# not used: {', '.join(source.unknown)}")
     places = {k: v for s in log.sources.values() for k, v in s.places.items()}

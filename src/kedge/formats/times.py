@@ -75,6 +75,11 @@ def from_gps(week: int, within: int) -> int:
     return gps - sum(gps >= day + n * 10**9 for n, day in enumerate(days, start=1)) * 10**9
 
 
+def since_1970(when: datetime) -> int:
+    """A date and time with its zone, in ns."""
+    return (when - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+
+
 def onward(stamps: Sequence[int], period: int = DAY) -> list[int]:
     """Times of a day or week as they go on: going back by more than half of it is the next."""
     result, later = [], 0
@@ -89,11 +94,11 @@ def _dated(day: str, clock: str, fraction: str | None, zone: str | None) -> int:
     compact = day.replace("-", "")
     clock = clock if clock.count(":") == 2 else f"{clock}:00"
     whole = datetime.strptime(f"{compact} {clock}", "%Y%m%d %H:%M:%S").replace(tzinfo=UTC)
-    seconds = (whole - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
+    stamp = since_1970(whole) + _fraction(fraction)
     if zone and zone.upper() != "Z":
         hours, minutes = int(zone[1:3]), int(zone[-2:])
-        seconds -= (-1 if zone[0] == "-" else 1) * (hours * 3600 + minutes * 60)
-    return seconds * 10**9 + _fraction(fraction)
+        stamp -= (-1 if zone[0] == "-" else 1) * (hours * 3600 + minutes * 60) * 10**9
+    return stamp
 
 
 def _fraction(digits: str | None) -> int:

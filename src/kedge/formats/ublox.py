@@ -15,8 +15,8 @@ from kedge.core.errors import DataError
 from kedge.core.registry import readers
 from kedge.formats.logs import RawLog
 from kedge.formats.tables import Table, in_order, table_of
+from kedge.formats.times import since_1970
 
-EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 FIXES = (2, 3, 4)
 """Kinds of fix that have a place: in plan, in space, with dead reckoning."""
 UBX_ONLY, PASS_OVER = 2, 1
@@ -92,9 +92,8 @@ def _stamp(message: Any) -> int:
         message.year, message.month, message.day, message.hour, message.min,
         min(message.second, 59), tzinfo=datetime.UTC,
     )  # fmt: skip
-    since = when - EPOCH
     leap = message.second - min(message.second, 59)
-    return (since.days * 86400 + since.seconds + leap) * 10**9 + message.nano
+    return since_1970(when) + leap * 10**9 + message.nano
 
 
 def _table(
