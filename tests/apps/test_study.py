@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 
@@ -147,6 +148,21 @@ def test_a_cloud_that_collapsed_is_the_loudest_of_warnings(buoy, kedge, tmp_path
     code, _, err = kedge("study", buoy, *options[:2], "--require", "no warnings")
     assert code == 3
     assert "warnings is " in err
+
+
+def test_a_gate_that_keeps_the_readings_out_is_a_warning(kedge, tmp_path):
+    """The speed is 1 m/s wrong: a gate believes the filter rather than the camera."""
+    file = tmp_path / "biased.toml"
+    file.write_text(
+        'extends = "yard"\n[faults.wheel]\non = "control"\nmodel = "bias"\n'
+        'parameters = { value = 1.0, component = "speed" }\n'
+    )
+    gate = "gated:false_alarm=0.001,recovery=inf,inner=extended"
+    code, _, err = kedge("study", file, "--filters", f"extended,{gate}", "--runs", 2, "--json")
+    assert code == 0, err
+    shares = re.findall(r"warning: (\S+): (\d+) % of the readings of camera were", err)
+    assert [name for name, _ in shares] == [gate]
+    assert int(shares[0][1]) > 30
 
 
 def test_a_study_without_a_warning_can_be_required(buoy, kedge):

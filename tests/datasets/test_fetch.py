@@ -8,7 +8,7 @@ import pytest
 
 from kedge.core.errors import DataError
 from kedge.datasets import fetch as module
-from kedge.datasets.fetch import DATASETS, fetch, verify
+from kedge.datasets.fetch import DATASETS, fetch, log_of, verify
 
 CONTENT = {"a.dat": b"1 2 3\n", "b.dat": b"4 5 6\n"}
 KNOWN = {name: hashlib.sha256(data).hexdigest() for name, data in CONTENT.items()}
@@ -66,3 +66,18 @@ def test_only_files_that_are_known_come_out_and_only_into_their_folder(server):
     verify("mrclam", folder)
     written = sorted(f for f in server.parents[2].rglob("*") if f.is_file())
     assert written == [folder / "a.dat", folder / "b.dat"]
+
+
+def test_a_data_set_s_name_stands_for_its_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("KEDGE_DATA", str(tmp_path))
+    folder = tmp_path / DATASETS["mrclam"].folder
+    with pytest.raises(DataError, match="kedge datasets fetch mrclam"):
+        log_of("mrclam")
+    folder.mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert log_of("mrclam") == str(folder)
+    assert log_of("mrclam#3") == f"{folder}#3"
+    assert log_of("some/log#2") == "some/log#2"
+    (tmp_path / "elsewhere" / "mrclam").mkdir()
+    assert log_of("mrclam") == "mrclam"

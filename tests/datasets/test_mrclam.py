@@ -105,3 +105,10 @@ def test_the_recorded_set(data):
     residual = camera.columns["range"][rows] - np.hypot(*gaps)
     assert abs(np.median(residual)) < 0.1
     assert np.median(np.abs(residual)) < 0.2
+
+
+def test_a_code_that_is_no_whole_number_is_refused(folder):
+    file = folder / "Barcodes.dat"
+    file.write_text(file.read_text().replace("63", "nan"))
+    with pytest.raises(DataError, match=r"Barcodes.dat:\d+: .*'nan', expected a whole"):
+        read_log(f"{folder}#1", "mrclam")

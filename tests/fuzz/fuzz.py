@@ -115,12 +115,15 @@ class Worker:
         return None
 
 
-def run(inputs: int, workers: int, limit: float, names: list[str] | None) -> list[Outcome]:
-    """Share the inputs among the workers."""
+def run(
+    inputs: int, workers: int, limit: float, names: list[str] | None, first: int = 0
+) -> list[Outcome]:
+    """Share the inputs among the workers; each reader's are numbered from ``first``."""
     crew = [Worker(names, limit) for _ in range(workers)]
     weights = {n: w for n, w in crew[0].weights.items() if not names or n in names}
     total = sum(weights.values())
-    jobs = [(n, k) for n, w in weights.items() for k in range(round(inputs * w / total) or 1)]
+    counts = {n: round(inputs * w / total) or 1 for n, w in weights.items()}
+    jobs = [(n, first + k) for n, count in counts.items() for k in range(count)]
     random.Random(SEED).shuffle(jobs)
     outcomes, idle = [], list(crew)
     while jobs or len(idle) < len(crew):
@@ -167,6 +170,9 @@ def main() -> int:
     """Read, print the table; 1 if there was a fault."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument(
+        "--first", type=int, default=0, help="number of each reader's first input"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one input")
     parser.add_argument("--only", action="append", help="a reader of the table")
@@ -180,7 +186,7 @@ def main() -> int:
         ours.recv()
         outcomes = [ours.recv()]
     else:
-        outcomes = run(chosen.inputs, chosen.workers, chosen.limit, chosen.only)
+        outcomes = run(chosen.inputs, chosen.workers, chosen.limit, chosen.only, chosen.first)
     print(table(outcomes))
     return int(any(outcome.kind == "neither" for outcome in outcomes))
 

@@ -252,7 +252,7 @@ def _runs(squared, times=None):
     ones, none = np.ones((rows, 1)), np.zeros((rows, 0))
     inside = np.ones_like(squared)
     each = once if times is None else times
-    return RunScores(each, squared, once, once, inside, ones, ones, none, 0 * once)
+    return RunScores(each, squared, once, once, inside, ones, ones, none, 0 * once, 0 * ones)
 
 
 def test_a_start_near_the_truth_is_as_far_off_as_the_prior_says():
@@ -289,6 +289,7 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
         nis_dof=np.array([[2.0], [np.nan], [np.nan]]),
         tracked=np.zeros((3, 0)),
         singular=np.array([0.0, 0.25, 1.0]),
+        outlying=np.array([[0.5], [np.nan], [1.0]]),
     )
     result = Result(runs, runs, results["kalman"].sums, seconds=6.0)
     found = record(summarise(pooled, result))
@@ -300,6 +301,7 @@ def test_summaries_leave_out_what_failed_and_count_it(pooled, results):
     assert (found["score"], found["score_of"]) == (found["rmse"]["position"], "position")
     assert (found["time_mean_rms"], found["nees"], found["coverage_95"]) == (2.0, 4.0, 0.75)
     assert found["singular"] == 0.125
+    assert found["outlying"] == {"gnss": 0.5}
     assert (found["nis"]["gnss"], found["nis_dof"]["gnss"]) == (1.0, 2.0)
     within = found["within_3_sigma"]
     assert (within["position_x"], within["position"], within["velocity_y"]) == (1.0, 0.75, 0.5)

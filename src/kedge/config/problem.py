@@ -33,6 +33,7 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ConfigError, DataError
 from kedge.core.manifolds import Chart, charts_of, columns_of, space_of
 from kedge.core.registry import unknown, vehicles
+from kedge.datasets.fetch import log_of
 from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
 from kedge.estimation.rig import Rig, check_step
@@ -86,7 +87,7 @@ def load_problem(
 
     Args:
         rig: a shipped rig's name or a TOML file, or one that is read already.
-        log: PATH or PATH#PART.
+        log: PATH or PATH#PART, or a data set's name in place of the path.
         truth: "auto" for the log's own, "none", or a source to compare with. The prior's
             ``from_truth`` takes it even if nothing is compared.
         until: stop this many seconds after the start.
@@ -106,7 +107,7 @@ def read_raw(config: RigConfig, log: str) -> RawLog:
         KedgeError: it cannot be read, or the rig cannot be built whatever stands in it.
     """
     build_vehicle(config)  # what does not fit is said before a long file is read
-    return read_log(log, config.format, config.bag, config.map_origin)
+    return read_log(log_of(log), config.format, config.bag, config.map_origin)
 
 
 def fitted(

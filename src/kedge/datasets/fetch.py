@@ -84,6 +84,20 @@ def require_located(name: str) -> Path:
     return folder
 
 
+def log_of(log: str) -> str:
+    """A log that is called by a data set's name, ``NAME`` or ``NAME#PART``, as a path.
+
+    What exists under that name here is taken for what it is.
+
+    Raises:
+        DataError: the data set is not on this machine; the message says how to get it.
+    """
+    name, mark, part = log.partition("#")
+    if name not in DATASETS or Path(name).exists():
+        return log
+    return f"{require_located(name)}{mark}{part}"
+
+
 def fetch(name: str) -> Path:
     """Download a data set from its original source, check every file, and keep it.
 

@@ -49,12 +49,9 @@ def read_mrclam(path: Path, part: str | None = None) -> RawLog:
     notes: list[str] = []
 
     barcodes = read_cells(_file(folder, "Barcodes"), ("subject", "barcode"))
-    subjects = {
-        str(int(code)): str(int(subject))
-        for code, subject in zip(
-            barcodes.numbers("barcode"), barcodes.numbers("subject"), strict=True
-        )
-    }
+    subjects = dict(
+        zip(barcodes.identifiers("barcode"), barcodes.identifiers("subject"), strict=True)
+    )
     landmarks = read_cells(_file(folder, "Landmark_Groundtruth"), ("subject", *MAP))
     columns = {name: landmarks.numbers(name, unit) for name, unit in MAP.items()}
     targets = TargetMap(tuple(landmarks.text("subject")), columns, dict(MAP))
@@ -76,7 +73,7 @@ def read_mrclam(path: Path, part: str | None = None) -> RawLog:
 
 
 def _named(cells: Cells, subjects: dict[str, str], notes: list[str]) -> Cells:
-    codes = [str(int(code)) for code in cells.numbers("target")]
+    codes = cells.identifiers("target")
     strange = Counter(code for code in codes if code not in subjects)
     for code, count in sorted(strange.items()):
         notes.append(f"camera: {count} readings of barcode {code}, which no subject wears")

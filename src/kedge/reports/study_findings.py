@@ -12,6 +12,8 @@ from kedge.studies.summary import BASELINE
 
 FEW_RUNS = 30
 """With fewer the intervals themselves are not well known."""
+MANY_OUTLIERS = 0.1
+"""Share of a sensor's readings from which a study warns: nine tenths are to be used."""
 
 
 def unit_of(summary: StudySummary, states: Space) -> tuple[float, str]:
@@ -103,6 +105,12 @@ def warnings(summary: StudySummary) -> list[str]:
             "Over-confident, by the share of times at which the truth lies in the 95\u00a0% "
             f"ellipsoid: {', '.join(poor)}."
         )
+    texts += [
+        f"{name}: {style.percent(share)} of the readings of {sensor} were outliers to it."
+        for name, row in filters.items()
+        for sensor, share in row.settled.outlying.items()
+        if share > MANY_OUTLIERS
+    ]
     return texts + [
         f"Not as expected: {band.score} is {band.figures}."
         for band in summary.expected

@@ -20,6 +20,8 @@ class WindowScores:
     """By sensor, mean normalised innovation squared of what was fused."""
     nis_dof: Mapping[str, float]
     """What it is on average if the model is right."""
+    outlying: Mapping[str, float]
+    """By sensor, the share of readings that a gate refused or a robust loss weighed down."""
     coverage_95: Score
     """Share of times at which the truth lay in the 95 % ellipsoid."""
     within_3_sigma: Mapping[str, Score]

@@ -60,6 +60,7 @@ class Believed(NamedTuple):
     dof: Int[Array, "*E"]
     nis: Float[Array, "*E"] | None
     """Of measurements that are small enough."""
+    outlying: Bool[Array, "*E"]
 
 
 class Pick(eqx.Module):
@@ -78,6 +79,7 @@ class Pick(eqx.Module):
             verdict=outcome.verdict[self.sensed],
             dof=outcome.dof[self.sensed],
             nis=outcome.nis[self.sensed] if self.nis else None,
+            outlying=outcome.outlying[self.sensed],
         )
 
 
@@ -115,8 +117,9 @@ def scored(
             within = jnp.where(error**2 <= 9 * variance, 1.0, 0.0)
         nis = jnp.full(len(plan.sensed), jnp.nan) if belief.nis is None else belief.nis
         fused = belief.verdict == Verdict.FUSED
+        weighed = fused | (belief.verdict == Verdict.GATED)
         watched = _tracked(scenario, true)
-        judged = _Judged(error**2, nees, within, nis, 1.0 * belief.dof, fused, watched)
+        judged = _Judged(error**2, nees, within, nis, 1.0 * belief.dof, fused, watched, weighed, belief.outlying)
         settled = plan.settled, plan.sensed_settled, plan.steps_settled
         late = _scores(states, plan, judged, sensors, *settled)
         whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
@@ -169,6 +172,9 @@ class _Judged(NamedTuple):
     dof: Float[Array, "*E"]
     fused: Bool[Array, "*E"]
     tracked: Float[Array, "*S w"]
+    weighed: Bool[Array, "*E"]
+    """Fused, or refused by a gate."""
+    outlying: Bool[Array, "*E"]
 
 
 def _tracked(scenario: Scenario, true: Simulation) -> Float[Array, "S w"]:
@@ -195,9 +201,12 @@ def _scores(
         # What is not finite must not leak in from times that are not looked at.
         return jnp.sum(jnp.where(when, values, 0.0) * share)
 
-    nis, dof = [], []
+    nis, dof, outlying = [], [], []
     for number in range(sensors):
-        fused = sensed & judged.fused & (plan.sensor == number)
+        mine = sensed & (plan.sensor == number)
+        weighed = jnp.sum(mine & judged.weighed)
+        outlying.append(jnp.sum(mine & judged.outlying) / weighed)
+        fused = mine & judged.fused
         count = jnp.sum(fused)
         for values, means in ((judged.nis, nis), (judged.dof, dof)):
             total = jnp.sum(jnp.where(fused, values, 0.0))
@@ -215,4 +224,5 @@ def _scores(
         nis_dof=jnp.stack(dof) if dof else jnp.zeros(0),
         tracked=jnp.mean(judged.tracked, axis=0, where=stepped[:, None]),
         singular=mean(1.0 * jnp.isnan(judged.nees)) if known else jnp.asarray(jnp.nan),
+        outlying=jnp.stack(outlying) if outlying else jnp.zeros(0),
     )

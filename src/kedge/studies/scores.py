@@ -35,6 +35,8 @@ class RunScores(NamedTuple):
     """Mean squares of what the scenario's world watches, by step."""
     singular: Float[Values, "*runs"]
     """Share of times at which the covariance has no inverse, so that there is no NEES."""
+    outlying: Float[Values, "*runs sensors"]
+    """Share of what was judged that a gate refused or a robust loss weighed down."""
 
 
 class TimeSums(NamedTuple):

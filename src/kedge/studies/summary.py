@@ -94,6 +94,7 @@ def blank(study: Study) -> Result:
         nis_dof=np.zeros((runs, sensors)),
         tracked=np.zeros((runs, watches)),
         singular=each,
+        outlying=np.zeros((runs, sensors)),
     )
     times, readings = len(plan.time), len(plan.sensed)
     none = np.zeros(readings)
@@ -255,13 +256,15 @@ def _window(
 ) -> WindowScores:
     """RMSE, NEES, NIS and coverage of the good runs, each with its interval."""
     squared, tracked = (np.asarray(s)[good] for s in (scores.squared, scores.tracked))
-    nis, nis_dof = {}, {}
+    nis, nis_dof, outlying = {}, {}, {}
     for number, installation in enumerate(study.scenario.rig.sensors):
         values = np.asarray(scores.nis)[good][:, number]
         dofs = np.asarray(scores.nis_dof)[good][:, number]
         fused = np.isfinite(values)
         nis[installation.name] = interval(values[fused])
         nis_dof[installation.name] = interval(dofs[fused]).value
+        shares = np.asarray(scores.outlying)[good][:, number]
+        outlying[installation.name] = interval(shares[np.isfinite(shares)]).value
     return WindowScores(
         rmse={
             name: _root(interval(squared[:, cut].sum(axis=1)))
@@ -274,6 +277,7 @@ def _window(
         singular=interval(np.asarray(scores.singular)[good]).value,
         nis=nis,
         nis_dof=nis_dof,
+        outlying=outlying,
         coverage_95=interval(np.asarray(scores.coverage)[good]),
         within_3_sigma=_within(_states(study), np.asarray(scores.within)[good]),
         ratios=ratios or {},
