@@ -31,7 +31,9 @@ def evidence():
     def result(squared, seconds):
         squared = np.repeat(squared[:, None], 4, 1)
         inside = np.ones((300, 4))
-        runs = RunScores(once, squared, 4 * noise, once, inside, none, none, none, 0 * once, none)
+        runs = RunScores(
+            once, squared, 4 * noise, once, inside, none, none, none, 0 * once, none
+        )
         return Result(runs, runs, sums, seconds)
 
     results = {

@@ -119,7 +119,17 @@ def scored(
         fused = belief.verdict == Verdict.FUSED
         weighed = fused | (belief.verdict == Verdict.GATED)
         watched = _tracked(scenario, true)
-        judged = _Judged(error**2, nees, within, nis, 1.0 * belief.dof, fused, watched, weighed, belief.outlying)
+        judged = _Judged(
+            error**2,
+            nees,
+            within,
+            nis,
+            1.0 * belief.dof,
+            fused,
+            watched,
+            weighed,
+            belief.outlying,
+        )
         settled = plan.settled, plan.sensed_settled, plan.steps_settled
         late = _scores(states, plan, judged, sensors, *settled)
         whole = _scores(states, plan, judged, sensors, *map(jnp.ones_like, settled))
