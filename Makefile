@@ -74,6 +74,10 @@ docs: .venv/.docs ## the documentation's site, without a warning: build/site/ind
 bench: .venv/.dev .venv/.rivals ## the benchmarks, alone on the machine: BENCH=build/benchmarks.json
 	BENCH=$(BENCH) $(BIN)/pytest benchmarks $(ARGS)
 
+.PHONY: honesty
+honesty: .venv/.dev ## every recorded run below KEDGE_DATA: RMSE, coverage, NEES: ARGS='hanyang --until 60'
+	$(BIN)/python examples/honesty.py $(ARGS)
+
 .PHONY: fuzz
 fuzz: .venv/.dev ## damaged input to every reader: ARGS='--inputs 20000 --workers 2'
 	$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
