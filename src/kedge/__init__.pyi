@@ -34,6 +34,8 @@ from kedge.core.verdicts import Verdict as Verdict
 from kedge.estimation.batch import Estimates as Estimates
 from kedge.estimation.batch import estimate as estimate
 from kedge.estimation.compilation_cache import use_compilation_cache as use_compilation_cache
+from kedge.estimation.correlated_error import CorrelatedError as CorrelatedError
+from kedge.estimation.error_states import with_errors as with_errors
 from kedge.estimation.linear_model import LinearModel as LinearModel
 from kedge.estimation.linear_model import diffuse as diffuse
 from kedge.estimation.linear_model import linear_model as linear_model

@@ -6,7 +6,8 @@ import pytest
 
 from kedge.config.scenarios import load_scenario
 from kedge.core.errors import ConfigError, ContractError
-from kedge.simulation.simulate import record
+from kedge.core.manifolds import space_of
+from kedge.simulation.simulate import record, simulate
 
 SCENARIO = """
 [scenario]
@@ -81,3 +82,35 @@ def test_a_sweep_without_targets_is_refused(tmp_path):
 def test_an_unknown_parameter_of_what_it_really_is(tmp_path):
     with pytest.raises(ConfigError, match=r"true_parameters\.colour"):
         recorded(tmp_path, **{"sensors.radio.true_parameters": "{ colour = 1.0 }"})
+
+
+@pytest.mark.parametrize("treatment", ["estimated", "considered", "widened"])
+def test_errors_with_a_memory_are_in_the_readings(tmp_path, treatment):
+    """Of a tag that stands: their spread, and their correlation after a second."""
+    flag = "" if treatment == "estimated" else f", {treatment} = true"
+    error = "{ std = 50.0, time_constant = 2.0" + flag + " }"
+    changes = {"sensors.radio.all_targets": "true", "sensors.radio.error": error}
+    log, _ = recorded(tmp_path, **{"scenario.duration": "3000.0"} | changes)
+    readings = log.readings[0]
+    for target in range(3):
+        square = np.asarray(readings.measurement.squared_range)
+        off = square[np.asarray(readings.target) == target] - FAR[target] ** 2
+        assert np.std(off) == pytest.approx(50.0, rel=0.1)
+        correlation = np.mean(off[1:] * off[:-1]) / np.mean(off**2)
+        assert correlation == pytest.approx(np.exp(-0.5), abs=0.06)
+
+
+def test_errors_with_a_memory_are_drawn_for_a_world_that_knows_nothing_of_them():
+    error = {"sensors.camera.error": "{ std = 0.01, time_constant = 5.0, by_target = false }"}
+    plain = load_scenario("omni-circle").scenario
+    scenario = load_scenario("omni-circle", error).scenario
+    run, without = (simulate(s, jax.random.key(1)) for s in (scenario, plain))
+    (camera,) = (n for n, s in enumerate(scenario.rig.sensors) if s.name == "camera")
+    step = scenario.ticks(scenario.rig.sensors[camera]) - 1
+    outputs = space_of(scenario.rig.sensors[camera].sensor.measures)
+    noisy, clean = (r.readings[camera].measurement for r in (run, without))
+    off = jax.vmap(outputs.boxminus)(noisy, clean)
+    names = [name for name in run.truth._fields if name.startswith("error_of_camera_")]
+    errors = np.concatenate([getattr(run.truth, name)[step] for name in names], axis=1)
+    np.testing.assert_allclose(off, errors, atol=1e-9)
+    assert np.std(errors) == pytest.approx(0.01, rel=0.5)

@@ -67,9 +67,10 @@ def test_a_time_constant_draws_back_to_the_nominal_value(vehicle):
 
     calm = after(1.5, np.zeros(5))
     np.testing.assert_allclose(calm.range_scale, 1 + 0.5 * np.exp(-1))
-    # Drawn with std walk / sqrt(dt) and held for dt: variance walk^2 dt.
+    # Drawn with std walk / sqrt(dt) and held for dt; walk^2 tau / 2 (1 - exp(-2 dt / tau)).
     pushed = after(1.5, np.array([0, 0, 0, 0.01 / np.sqrt(2.0), 0]))
-    np.testing.assert_allclose(pushed.range_scale - calm.range_scale, 0.01 * np.sqrt(2.0))
+    exact = 0.01 * np.sqrt(1 - np.exp(-2.0))
+    np.testing.assert_allclose(pushed.range_scale - calm.range_scale, exact)
 
 
 def test_the_state_type_is_one_for_equal_arguments(vehicle):

@@ -17,6 +17,7 @@ from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ConfigError, ContractError
 from kedge.core.manifolds import charts_of, component_names, space_of
 from kedge.core.registry import sensors, unknown, vehicles
+from kedge.estimation.error_states import with_errors
 from kedge.estimation.rig import Installation, Mount, Origin, Rig, check_reads
 from kedge.formats.attitudes import quaternions
 from kedge.formats.logs import TargetMap
@@ -79,6 +80,7 @@ def build_installation(
         spec.allowed_silence,
         spec.all_targets,
         true_sensor,
+        spec.error and spec.error.build(hasattr(sensor, "target")),
     )
     return Installation(name, sensor, spec.rate, spec.latency, *gates)
 
@@ -156,13 +158,15 @@ def build_rig(
     sensors: tuple[Installation, ...],
     prior: Gaussian,
 ) -> Rig:
-    """The rig of a file, which is named where vehicle, sensors and prior do not fit.
+    """The rig of a file, with its sensors' errors in its state.
+
+    The file is named where vehicle, sensors and prior do not fit.
 
     Raises:
         ContractError: they do not.
     """
     try:
         origin = Origin(config) if isinstance(config, RigConfig) else Origin()
-        return Rig(vehicle, sensors, prior, origin)
+        return with_errors(Rig(vehicle, sensors, prior, origin))
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error

@@ -2,8 +2,10 @@
 
 import dataclasses
 from collections.abc import Iterator
+from math import inf
 from typing import Annotated, Any
 
+import jax.numpy as jnp
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from kedge.config.filters import build_filter
@@ -12,6 +14,7 @@ from kedge.config.motion import Finite, Positive
 from kedge.core.errors import KedgeError
 from kedge.core.manifolds import space_of
 from kedge.core.registry import sensors, unknown
+from kedge.estimation.correlated_error import CorrelatedError, Treatment
 from kedge.formats.toml import Strict
 from kedge.numerics.losses import Kind, Side
 
@@ -22,6 +25,10 @@ def _listed(value: Any) -> Any:
 
 _NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 Numbers = Annotated[list[Finite], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
+NotNegative = Annotated[Finite, Field(ge=0)]
+Lasting = Annotated[float, Field(gt=0)]
+NotNegatives = Annotated[list[NotNegative], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
+Times = Annotated[list[Lasting], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
 Spreads = Annotated[list[Positive], BeforeValidator(_listed), WithJsonSchema(_NUMBERS)]
 
 
@@ -51,6 +58,42 @@ class RobustConfig(Strict):
     """Where it begins to weigh down; its usual value if not given."""
     side: Side = "both"
     """Whether readings that are too large, too small or both are doubted."""
+
+
+class ErrorConfig(Strict):
+    """What a sensor errs by beside its white noise: a bias that fades within some seconds."""
+
+    std: NotNegatives
+    """Its standard deviation, in the unit of what is measured; one or one each."""
+    time_constant: Times
+    """s after which 1/e of it remains; one or one each; inf is a constant."""
+    by_target: bool | None = None
+    """Whether each target of the map has its own, as if not given; else all share one."""
+    considered: bool = False
+    """Whether it widens what is believed, but is not estimated."""
+    widened: bool = False
+    """Whether it only widens the noise of each reading, by how many readings it lasts."""
+
+    def validation_errors(self) -> Iterator[str]:
+        """Two treatments at once; a constant that no noise can stand for."""
+        if self.considered and self.widened:
+            yield "widened: found beside considered, expected one of the two"
+        if self.widened and inf in self.time_constant:
+            yield "time_constant: found inf, expected a finite one with widened"
+
+    def build(self, has_map: bool) -> CorrelatedError:
+        """The error; by target where there are targets, unless it says otherwise."""
+        treatment: Treatment = "considered" if self.considered else "estimated"
+        std, memory = (
+            jnp.asarray(values if len(values) > 1 else values[0])
+            for values in (self.std, self.time_constant)
+        )
+        return CorrelatedError(
+            std,
+            memory,
+            has_map if self.by_target is None else self.by_target,
+            "widened" if self.widened else treatment,
+        )
 
 
 class SensorConfig(Strict):
@@ -88,6 +131,8 @@ class SensorConfig(Strict):
     """s without a reading that is fused, after which the estimate counts as degraded."""
     mount: MountConfig | None = None
     """Where it sits on the body."""
+    error: ErrorConfig | None = None
+    """What it errs by for some seconds, beside its white noise."""
     std: dict[str, str] = {}
     """Component -> column of its standard deviation, of each reading."""
     covariance: list[str] | None = None
@@ -121,6 +166,8 @@ class SensorConfig(Strict):
         has_map = "target" in {field.name for field in dataclasses.fields(cls)}
         if has_map and self.map is None:
             yield f"map: this key is missing; sensor {self.model!r} needs a map of targets"
+        if self.error is not None and self.error.by_target and not has_map:
+            yield f"error.by_target: sensor {self.model!r} has no targets; leave this key out"
         for key in () if has_map else ("map", "target", "ignore_targets"):
             if getattr(self, key):
                 yield f"{key}: sensor {self.model!r} has no targets; leave this key out"

@@ -274,6 +274,10 @@ class AbstractFilter(eqx.Module, Generic[B]):
         """After how many s of nothing but outliers of a sensor its next reading is let in."""
         return math.inf
 
+    def considers(self) -> bool:
+        """Whether it leaves the states uncorrected that are to be considered only."""
+        return False
+
     def trusting(self) -> "AbstractFilter[B]":
         """The filter for the same beliefs without its gates and robust losses."""
         return self

@@ -273,6 +273,10 @@ AUGMENTED = "augmented"
 """Annotation of a field that a vehicle takes along: biases, scales, the current around it."""
 
 
+CONSIDERED = "considered"
+"""Annotation of a field that no reading corrects, while its spread counts in every update."""
+
+
 @dataclass(frozen=True)
 class Within:
     """Annotation of a field whose values lie in a range, such as a steering angle's.
@@ -299,9 +303,19 @@ def ranges_of(cls: Any) -> dict[str, Within]:
 @ft.cache
 def augmented_of(cls: Any) -> tuple[bool, ...]:
     """For each tangent component of a ``NamedTuple``: whether it is marked ``AUGMENTED``."""
+    return _marked(cls, AUGMENTED)
+
+
+@ft.cache
+def considered_of(cls: Any) -> tuple[bool, ...]:
+    """For each tangent component of a ``NamedTuple``: whether it is marked ``CONSIDERED``."""
+    return _marked(cls, CONSIDERED)
+
+
+def _marked(cls: Any, mark: str) -> tuple[bool, ...]:
     hints = get_type_hints(cls, include_extras=True)
     return tuple(
-        AUGMENTED in getattr(hints[name], "__metadata__", ())
+        mark in getattr(hints[name], "__metadata__", ())
         for name, chart in charts_of(cls).items()
         for _ in range(chart.size)
     )

@@ -32,6 +32,8 @@ class BoundMeasurement(AbstractMeasurementModel):
     missing: Any
     """True where a component of the measurement is missing, in the measurement's shape."""
     cov: Float[Array, "m m"] | None
+    extra: Float[Array, " m"] | None = None
+    """Variances that are added, for errors that it shares with the reading before."""
 
     def expect(self, state: Any) -> Any:
         """The expected measurement, with the components that are missing left out."""
@@ -57,6 +59,8 @@ class BoundMeasurement(AbstractMeasurementModel):
             known = (self.cov != 0).any(axis=0) | (self.cov != 0).any(axis=1)
             neither = ~known[:, None] & ~known[None, :]
             cov = jnp.where(neither, cov, symmetric(self.cov))
+        if self.extra is not None:
+            cov = cov + jnp.diag(self.extra)
         both = self.present[:, None] & self.present[None, :]
         return jnp.where(both, cov, jnp.eye(cov.shape[0]))
 
@@ -65,6 +69,8 @@ class BoundMeasurement(AbstractMeasurementModel):
         if self.cov is not None:
             return None
         variance = self.installation.noise_variance(state, self.target)
+        if variance is not None and self.extra is not None:
+            variance = variance + self.extra
         return None if variance is None else jnp.where(self.present, variance, 1.0)
 
     def distances(self, state: Any) -> Float[np.ndarray, "m n"] | None:

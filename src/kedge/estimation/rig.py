@@ -13,6 +13,7 @@ from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter, AbstractSensor, AbstractVehicle, Ranging
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import Chart, charts_of
+from kedge.estimation.correlated_error import CorrelatedError as CorrelatedError
 from kedge.estimation.mount import Mount as Mount
 from kedge.estimation.mount import seen_from, validation_error
 from kedge.estimation.rig_checks import check_noise, check_prior
@@ -45,6 +46,9 @@ class Installation(eqx.Module):
     """Whether, in simulation, it reads all targets of its map at once, not in turn."""
     true_sensor: AbstractSensor | None = None
     """What it is in simulation, where that is not what filters take it for."""
+    error: CorrelatedError | None = None
+    """What it errs by beside its white noise, with a memory; a rig carries it in its state by
+    :func:`kedge.estimation.error_states.with_errors`."""
 
     def __check_init__(self):
         if self.all_targets and self.targets is None:
@@ -68,8 +72,11 @@ class Installation(eqx.Module):
         return filter if self.gate is None else Gated(filter, self.gate, recovery=recovery)
 
     def expect(self, state: Any, target: Int[Array, ""]) -> Any:
-        """The noise-free measurement of one target."""
-        return self.sensor.for_target(target).expect(self._moved(state))
+        """The measurement of one target without white noise: with the errors in the state."""
+        expected = self.sensor.for_target(target).expect(self._moved(state))
+        if self.error is None:
+            return expected
+        return self.error.added(expected, state, target, self.name, self.targets)
 
     def noise_cov(self, state: Any, target: Int[Array, ""]) -> Float[Array, "m m"]:
         """The sensor's own noise for one target."""
@@ -84,6 +91,11 @@ class Installation(eqx.Module):
         at_mount = self._moved(state)
         sensor = self.sensor.for_target(target)
         ranging = sensor.ranging(sensor.project(at_mount))
+        if ranging is not None and self.error is not None:
+            expected = sensor.expect(at_mount)
+            errors = self.error.of_target(expected, state, target, self.name, self.targets)
+            if errors is not None:
+                ranging = ranging._replace(bias=ranging.bias + errors)
         if ranging is None or self.mount is None:
             return ranging
         return ranging._replace(

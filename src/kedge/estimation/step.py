@@ -1,5 +1,6 @@
 """One event: predict to its time, then use its reading. Every driver takes these two steps."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -11,9 +12,11 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter, AbstractVehicle
-from kedge.core.manifolds import space_of
+from kedge.core.errors import ContractError
+from kedge.core.manifolds import considered_of, space_of
 from kedge.core.quantities import Scalar
 from kedge.core.verdicts import Verdict
+from kedge.estimation.correlated_error import new_times
 from kedge.estimation.log import REPEATED, Readings
 from kedge.estimation.reading import bind_reading, is_positive_definite
 from kedge.estimation.recovery import Clocks, new_clocks, recover
@@ -39,6 +42,8 @@ class FilterState(NamedTuple):
     """how many readings: the next keys follow from them."""
     behind: Float[Array, ""] | float = 0.0
     """s by which the belief is older than the newest event, since it could not be predicted."""
+    fused: tuple[Float[Array, " targets"] | None, ...] | None = None
+    """s; of sensors whose errors widen their noise, the last reading fused of each target."""
 
 
 class Outcome(NamedTuple):
@@ -68,11 +73,22 @@ class Outcome(NamedTuple):
 def begin(
     filter: AbstractFilter, rig: Rig, key: PRNGKeyArray, time: Scalar = 0.0
 ) -> FilterState:
-    """The prior as the filter's belief, with room for all that it will carry."""
+    """The prior as the filter's belief, with room for all that it will carry.
+
+    Raises:
+        ContractError: states are to be considered, and the filter would estimate them.
+    """
+    if any(considered_of(type(rig.prior.mean))) and not filter.considers():
+        raise ContractError(
+            f"{type(filter).__name__} cannot consider errors of sensors: expected a filter "
+            "such as 'extended' or 'unscented', or an error with considered = false or "
+            "widened = true"
+        )
     belief = filter.init(rig.prior, jr.fold_in(key, 0))
     belief = with_room(filter, rig.vehicle, belief)
     clocks, none = new_clocks(filter, rig.sensors), jnp.zeros((), int)
-    return FilterState(belief, clocks, jnp.asarray(time, float), none, none, jnp.zeros(()))
+    begun = jnp.asarray(time, float)
+    return FilterState(belief, clocks, begun, none, none, jnp.zeros(()), new_times(rig.sensors))
 
 
 def with_room(filter: AbstractFilter[B], vehicle: AbstractVehicle, belief: B) -> B:
@@ -222,6 +238,12 @@ def process_measurement(
     installation = sensors[place]
     judge = installation.judged(filter)
     model, measurement = bind_reading(installation, reading)
+    looked_at, times = jnp.asarray(False), None if state.fused is None else state.fused[place]
+    if times is not None and installation.error is not None:
+        looked_at = (jnp.arange(len(times)) == reading.target) | (len(times) == 1)
+        since = time - jnp.max(jnp.where(looked_at, times, -1e9))
+        extra = installation.error.extra_variance(since, model.present.shape[0])
+        model = dataclasses.replace(model, extra=extra)
     posterior, score = judge.update(model, belief, measurement, key)
     outlying = jnp.asarray(score.outlying)
     recovered = contradicted = jnp.asarray(False)
@@ -264,6 +286,10 @@ def process_measurement(
     if clocks is not None:
         good = fused & ~outlying
         clocks = clocks.after(place, reading.target, time, good, outlying, contradicted)
+
+    if times is not None and state.fused is not None:
+        times = jnp.where(looked_at & fused, time, times)
+        state = state._replace(fused=(*state.fused[:place], times, *state.fused[place + 1 :]))
 
     size = space_of(installation.sensor.measures).size
     shown = model.present & judged

@@ -139,6 +139,13 @@ class Scenario(eqx.Module):
                         f'hears readings or a filter (feedback is "{self.feedback}") takes one '
                         "reading of a sensor at a time"
                     )
+                if installation.error is not None:
+                    raise ContractError(
+                        f"sensors.{installation.name}: found an error with a memory, but a "
+                        f"guidance that hears readings or a filter (feedback is "
+                        f'"{self.feedback}") draws each by itself; expected feedback = "none" '
+                        'or "truth"'
+                    )
         if self.faults:
             self._check_faults()
 

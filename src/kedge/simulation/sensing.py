@@ -52,8 +52,12 @@ def all_sensed(
     history: History,
     dt: float,
     drawn_faults: Sequence[DrawnFault] = (),
+    errors: Float[Array, "K targets m"] | None = None,
 ) -> Readings:
-    """All readings of a sensor; ``ticks`` are the steps, from 1, at whose ends it fires."""
+    """All readings of a sensor; ``ticks`` are the steps, from 1, at whose ends it fires.
+
+    ``errors`` at the ends of all steps are added, for all targets or for each.
+    """
     late, targets = lags(drawn_faults), targets_of(installation, len(ticks))
     if late is None:
         seen = jax.tree.map(lambda leaf: leaf[ticks - 1], history.path)
@@ -64,6 +68,9 @@ def all_sensed(
         return sensed(installation, state, target, key)
 
     measured = jax.vmap(one)(seen, targets, keys)
+    if errors is not None:
+        of_each = errors[ticks - 1, targets % errors.shape[1]]
+        measured = jax.vmap(space(measured).boxplus)(measured, of_each)
     if drawn_faults:
         stds = jax.vmap(lambda *where: noise_std(installation, *where))(seen, targets)
         measured, targets = all_changed(drawn_faults, measured, stds, targets)

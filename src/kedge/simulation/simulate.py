@@ -26,6 +26,7 @@ from kedge.estimation.log import (
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
+from kedge.simulation.error_paths import widening_errors, with_error_states
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.sensing import all_sensed, all_told
 
@@ -112,10 +113,19 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
     else:
         history = scenario.world.unfold(scenario, drive_key, sensing)
     dt = scenario.dt
+    # Apart from all other draws, so that a run with errors is the same run.
+    error_keys = [jr.fold_in(k, zlib.crc32(b"errors")) for k in keys]
+    for sensor, error_key in zip(rig.sensors, error_keys, strict=False):
+        history = with_error_states(history, sensor, dt, error_key)
     readings = tuple(
-        all_sensed(sensor, fired, keys, history, dt, scenario.drawn_faults(sensor))
-        for sensor, fired, keys in zip(rig.sensors, ticks, sensing, strict=True)
-    )
+        all_sensed(
+            sensor, fired, keys, history, dt, scenario.drawn_faults(sensor),
+            widening_errors(sensor, scenario.steps, dt, error_key),
+        )
+        for sensor, fired, keys, error_key in zip(
+            rig.sensors, ticks, sensing, error_keys, strict=False
+        )
+    )  # fmt: skip
     reported = all_told(history.controls, dt, scenario.drawn_faults(None))
     path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
     return Simulation(path, reported, readings, start)

@@ -16,20 +16,40 @@ from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import AUGMENTED, Chart, charts_of, space
+from kedge.core.manifolds import AUGMENTED, CONSIDERED, Chart, charts_of, space
 from kedge.core.quantities import Scalar
+
+SMALL = 1e-9
+"""Steps by time constants below which a state is a random walk to rounding."""
 
 
 class GaussMarkov(eqx.Module):
     r"""How an augmented state wanders: $\dot s = (s_0 - s) / \tau + w$.
 
-    ``random_walk`` is the density of w, in the state's unit per second per root hertz; with the
-    default time constant the quantity is a random walk.
+    ``random_walk`` is the density q of w, in the state's unit per second per root hertz; with
+    the default time constant the quantity is a random walk. A step is exact:
+    $s' = s_0 + e^{-\Delta t / \tau} (s - s_0)$ and a variance of
+    $q^2 \tau / 2\,(1 - e^{-2 \Delta t / \tau})$ more, so that a state which begins with the
+    standard deviation $q \sqrt{\tau / 2}$ keeps it.
+
+    Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
+    and Navigation", 2001, section 8.4.
     """
 
     nominal: Scalar | Float[Array, " k"]
-    random_walk: Scalar = 0.0
-    time_constant: Scalar = float("inf")  # s
+    random_walk: Scalar | Float[Array, " k"] = 0.0
+    time_constant: Scalar | Float[Array, " k"] = float("inf")  # s
+
+    def after(self, value: Any, time: Scalar) -> Any:
+        """The state after some time without noise."""
+        return self.nominal + (value - self.nominal) * jnp.exp(-time / self.time_constant)
+
+    def kept(self, dt: Scalar) -> Any:
+        """What a noise that is held over a step leaves at its end, by what it brought."""
+        decay = 2 * dt / jnp.asarray(self.time_constant)
+        small = decay < SMALL
+        decay = jnp.where(small, 1.0, decay)
+        return jnp.where(small, 1.0, jnp.sqrt(-jnp.expm1(-decay) / decay))
 
 
 class Augmented(AbstractVehicle[Any, Any, Any]):
@@ -42,13 +62,15 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
     vehicle: AbstractVehicle
     augmented: dict[str, GaussMarkov]
     charts: tuple[tuple[str, Chart], ...] = eqx.field(static=True)
+    considered: tuple[str, ...] = eqx.field(static=True, default=())
+    """Those that no reading corrects, while their spread counts in every update."""
 
     def step(self, state: Any, control: Any, noise: Any, dt: Scalar) -> Any:
         """Step the vehicle with the values at the middle of the step, and let them wander."""
         vehicle = self.vehicle
         for name, _ in self.charts:
             if hasattr(vehicle, name):
-                value = self._after(name, state, dt / 2)
+                value = self.augmented[name].after(getattr(state, name), dt / 2)
                 vehicle = eqx.tree_at(lambda v, n=name: getattr(v, n), vehicle, value)
         inner, noises = type(vehicle.start()), type(vehicle.noise_density())
         stepped = vehicle.step(
@@ -57,24 +79,21 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
             noises(*noise[: len(noises._fields)]),
             dt,
         )
-        after = (
-            self._after(name, state, dt) + getattr(noise, name) * dt for name, _ in self.charts
-        )
+        after = []
+        for name, _ in self.charts:
+            process = self.augmented[name]
+            shock = getattr(noise, name) * dt * process.kept(dt)
+            after.append(process.after(getattr(state, name), dt) + shock)
         return type(state)(*stepped, *after)
-
-    def _after(self, name: str, state: Any, time: Scalar) -> Any:
-        """An augmented state after some time without noise."""
-        augmented = self.augmented[name]
-        decay = jnp.exp(-time / augmented.time_constant)
-        return augmented.nominal + (getattr(state, name) - augmented.nominal) * decay
 
     def noise_density(self) -> Any:
         """The vehicle's, then the walks."""
         inner = self.vehicle.noise_density()
         random_walks = (
-            jnp.full(c.shape, self.augmented[name].random_walk) for name, c in self.charts
+            jnp.broadcast_to(jnp.asarray(self.augmented[name].random_walk, float), c.shape)
+            for name, c in self.charts
         )
-        return _widened(type(inner), self.charts)(*inner, *random_walks)
+        return _widened(type(inner), self.charts, ())(*inner, *random_walks)
 
     def start(self) -> Any:
         """The vehicle's, then the nominal values."""
@@ -83,7 +102,7 @@ class Augmented(AbstractVehicle[Any, Any, Any]):
             jnp.broadcast_to(jnp.asarray(self.augmented[name].nominal, float), c.shape)
             for name, c in self.charts
         )
-        return _widened(type(inner), self.charts)(*inner, *nominal)
+        return _widened(type(inner), self.charts, self.considered)(*inner, *nominal)
 
     def nominal_control(self, time: Scalar) -> Any:
         """The vehicle's."""
@@ -141,11 +160,36 @@ def augment(
     return Augmented(vehicle, processes, tuple(charts))
 
 
+def carrying(
+    vehicle: AbstractVehicle,
+    processes: Mapping[str, tuple[Chart, GaussMarkov]],
+    considered: Sequence[str] = (),
+) -> AbstractVehicle:
+    """A vehicle with further states of any name in its state, which sensors' errors are.
+
+    Raises:
+        ContractError: a name is in the state already.
+    """
+    if not processes:
+        return vehicle
+    fields = space(vehicle.start()).cls._fields
+    if taken := [name for name in processes if name in fields]:
+        raise ContractError(f"augmented state {taken[0]!r} is in the vehicle's state already")
+    if not isinstance(vehicle, Augmented):
+        vehicle = Augmented(vehicle, {}, ())
+    return Augmented(
+        vehicle.vehicle,
+        vehicle.augmented | {name: process for name, (_, process) in processes.items()},
+        vehicle.charts + tuple((name, chart) for name, (chart, _) in processes.items()),
+        vehicle.considered + tuple(considered),
+    )
+
+
 def sharing_augmented(vehicle: AbstractVehicle, other: AbstractVehicle) -> AbstractVehicle:
     """A vehicle with the augmented states of another, whether it heeds them or not."""
     if not isinstance(other, Augmented):
         return vehicle
-    return Augmented(vehicle, other.augmented, other.charts)
+    return Augmented(vehicle, other.augmented, other.charts, other.considered)
 
 
 def _candidates(
@@ -175,9 +219,13 @@ def _charts_of_parameters(cls: type) -> dict[str, Chart]:
 
 
 @ft.cache
-def _widened(cls: Any, extra: tuple[tuple[str, Chart], ...]) -> Any:
+def _widened(
+    cls: Any, extra: tuple[tuple[str, Chart], ...], considered: tuple[str, ...]
+) -> Any:
     """The ``NamedTuple`` class of ``cls`` with fields added; one class for equal arguments."""
     fields = list(get_type_hints(cls, include_extras=True).items())
-    fields += [(n, Annotated[Any, c, AUGMENTED]) for n, c in extra]
+    for name, chart in extra:
+        marks = (AUGMENTED, CONSIDERED) if name in considered else (AUGMENTED,)
+        fields.append((name, Annotated[(Any, chart, *marks)]))
     create: Any = NamedTuple  # a type checker wants the fields written out
     return create(f"Augmented{cls.__name__}", fields)

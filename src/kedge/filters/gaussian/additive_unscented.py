@@ -17,7 +17,7 @@ from kedge.core.contracts import (
 from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
-from kedge.filters.gaussian.recursion import expectation_of, motion, moved, turned
+from kedge.filters.gaussian.recursion import corrected, expectation_of, motion, moved, turned
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, mirrored, square_root
 from kedge.numerics.noise import process_std
@@ -85,6 +85,10 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
         del key
         return self._with_points(prior.mean, prior.cov)
 
+    def considers(self) -> bool:
+        """It does."""
+        return True
+
     def transition(
         self, vehicle: AbstractVehicle, belief: SigmaPointBelief, control: Any, dt: Scalar
     ) -> tuple[SigmaPointBelief, Float[Array, "n n"]]:
@@ -124,7 +128,7 @@ class AdditiveUnscentedKalman(AbstractGaussianFilter):
         noise_cov = model.noise_cov(belief.mean)
         cov = mirrored(spread.T @ (weights * spread) + noise_cov)
         root = cholesky(cov)
-        K = gain(belief.errors.T @ (weights * spread), root)
+        K = corrected(belief.mean, gain(belief.errors.T @ (weights * spread), root))
         residual = space(expected).boxminus(measurement, expected)
         mean, turn = moved(belief.mean, K @ residual)
         errors = belief.errors - spread @ K.T

@@ -25,6 +25,10 @@ class DeadReckoning(AbstractGaussianFilter):
     Source: S. Thrun, W. Burgard, D. Fox, "Probabilistic Robotics", 2005, section 5.4.
     """
 
+    def considers(self) -> bool:
+        """It does."""
+        return True
+
     def transition(
         self, vehicle: AbstractVehicle, belief: Gaussian, control: Any, dt: Scalar
     ) -> tuple[Gaussian, Float[Array, "n n"]]:

@@ -9,6 +9,7 @@ import abc
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian, inflated_cov
@@ -18,7 +19,7 @@ from kedge.core.contracts import (
     AbstractVehicle,
     Innovation,
 )
-from kedge.core.manifolds import space
+from kedge.core.manifolds import considered_of, space
 from kedge.core.quantities import Scalar
 from kedge.numerics.innovation import innovation
 from kedge.numerics.linalg import cholesky, gain, mirrored
@@ -79,6 +80,10 @@ class AbstractMomentFilter(AbstractMomentPrediction):
     and Navigation", 2001, section 5.2 (the Joseph form).
     """
 
+    def considers(self) -> bool:
+        """It does."""
+        return True
+
     def update(
         self,
         model: AbstractMeasurementModel,
@@ -92,7 +97,7 @@ class AbstractMomentFilter(AbstractMomentPrediction):
         noise_cov = jnp.asarray(model.noise_cov(belief.mean), belief.cov.dtype)
         cov = mirrored(moments.cov + noise_cov)
         root = cholesky(cov)
-        K = gain(moments.cross, root)
+        K = corrected(belief.mean, gain(moments.cross, root))
         residual = space(moments.mean).boxminus(measurement, moments.mean).astype(cov.dtype)
         after, clipped = moments.semidefinite(moments.posterior(K, noise_cov))
         repairs = moments.repairs + clipped
@@ -120,6 +125,22 @@ def expectation_of(model: AbstractMeasurementModel, mean: Any) -> Function:
     """The expected measurement as a function of the error about ``mean``."""
     states = space(mean)
     return lambda error: model.expect(states.boxplus(mean, error))
+
+
+def corrected(mean: Any, K: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    r"""A gain without the rows of the states that are considered only.
+
+    Joseph's form, $P^+ = (I - K H) P (I - K H)^\top + K R K^\top$, is right for any gain: what
+    the gain leaves out stays in the covariance.
+
+    Source: S. Schmidt, "Application of state-space methods to navigation problems", Advances in
+    Control Systems 3, 1966; G. Bierman, "Factorization Methods for Discrete Sequential
+    Estimation", 1977, section VIII.2.
+    """
+    considered = considered_of(type(mean))
+    if not any(considered):
+        return K
+    return jnp.where(np.asarray(considered)[:, None], 0.0, K)
 
 
 def moved(mean: Any, shift: Float[Array, " n"]) -> tuple[Any, Float[Array, "n n"] | None]:

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian, stretch
@@ -14,7 +15,7 @@ from kedge.core.contracts import (
     Innovation,
 )
 from kedge.core.errors import ContractError
-from kedge.core.manifolds import space
+from kedge.core.manifolds import considered_of, space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.gaussian.extended import ExtendedKalman
@@ -79,6 +80,10 @@ class SquareRootKalman(AbstractGaussianFilter):
         del key
         return SqrtGaussian(prior.mean, square_root(prior.cov))
 
+    def considers(self) -> bool:
+        """The inner filter's."""
+        return self.inner.considers()
+
     def transition(
         self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar
     ) -> tuple[Any, Float[Array, "n n"]]:
@@ -110,8 +115,15 @@ class SquareRootKalman(AbstractGaussianFilter):
         none = jnp.zeros((belief.root.shape[0], size), noise.dtype)
         joint = triangularise(jnp.block([[factors.after, noise], [factors.before, none]]))
         S_root, scaled_gain = joint[:size, :size], joint[size:, :size]
-        mean, turn = moved(belief.mean, scaled_gain @ solve_lower(S_root, residual))
+        white = solve_lower(S_root, residual)
+        considered = np.asarray(considered_of(type(belief.mean)))
         root = joint[size:, size:]
+        if considered.any():
+            # What the gain leaves out of the considered states stays in their root.
+            left_out = jnp.where(considered[:, None], scaled_gain, 0.0)
+            scaled_gain = scaled_gain - left_out
+            root = triangularise(jnp.concatenate([left_out, root], axis=1))
+        mean, turn = moved(belief.mean, scaled_gain @ white)
         posterior = SqrtGaussian(mean, root if turn is None else turn @ root)
         return posterior, innovation(residual, S_root @ S_root.T, S_root, model.dof())
 

@@ -84,6 +84,10 @@ class LinearisedKalman(AbstractGaussianFilter):
         del key
         return prior if self.point == "estimate" else Anchored(*prior, prior.mean)
 
+    def considers(self) -> bool:
+        """It does."""
+        return True
+
     def transition(
         self, vehicle: AbstractVehicle, belief: Any, control: Any, dt: Scalar
     ) -> tuple[Any, Float[Array, "n n"]]:

@@ -16,7 +16,7 @@ from kedge.core.manifolds import space
 from kedge.core.quantities import Scalar
 from kedge.core.registry import filters
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.filters.gaussian.recursion import expectation_of, moved, turned
+from kedge.filters.gaussian.recursion import corrected, expectation_of, moved, turned
 from kedge.numerics.linalg import cholesky, gain, symmetric
 from kedge.numerics.propagation import Taylor
 
@@ -33,6 +33,10 @@ class Raw(AbstractGaussianFilter):
     Source: A. Gelb, "Applied Optimal Estimation", 1974, section 4.2 (the limit of a gain
     without knowledge beforehand).
     """
+
+    def considers(self) -> bool:
+        """It does."""
+        return True
 
     def transition(
         self, vehicle: AbstractVehicle, belief: Gaussian, control: Any, dt: Scalar
@@ -54,7 +58,8 @@ class Raw(AbstractGaussianFilter):
         H, expected = factors.after, factors.mean
         # A component that is missing has no slope: it must not be divided by.
         none = jnp.all(H == 0, axis=1)
-        K = gain(H.T, cholesky(symmetric(H @ H.T) + jnp.diag(jnp.where(none, 1.0, 0.0))))
+        free = corrected(belief.mean, H.T)
+        K = gain(free, cholesky(symmetric(free.T @ free) + jnp.diag(jnp.where(none, 1.0, 0.0))))
         residual = space(expected).boxminus(measurement, expected)
         mean, turn = moved(belief.mean, K @ residual)
         complement = unit - K @ H

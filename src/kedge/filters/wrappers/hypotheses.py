@@ -83,6 +83,10 @@ class Hypotheses(AbstractFilter[Mixture]):
         components = jax.vmap(turned)(gap * jnp.arange(self.count))
         return Mixture(components, weights)
 
+    def considers(self) -> bool:
+        """The inner filter's."""
+        return self.inner.considers()
+
     def reset(self, belief: Mixture, factor: Scalar) -> Mixture:
         """All around the circle again, from the widened moments.
 

@@ -110,6 +110,10 @@ class InteractingModels(AbstractFilter[Mixture]):
         copies = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * self.count), prior)
         return Mixture(copies, jnp.full(self.count, -jnp.log(self.count)))
 
+    def considers(self) -> bool:
+        """The inner filter's."""
+        return self.inner.considers()
+
     def predict(
         self,
         vehicle: AbstractVehicle,

@@ -51,6 +51,10 @@ class AbstractWrapper(AbstractFilter[Any]):
         """The inner filter's."""
         return self.inner.recovery_time()
 
+    def considers(self) -> bool:
+        """The inner filter's."""
+        return self.inner.considers()
+
     def trusting(self) -> AbstractFilter:
         """The same around the inner filter without its gates and robust losses."""
         return eqx.tree_at(lambda wrapper: wrapper.inner, self, self.inner.trusting())

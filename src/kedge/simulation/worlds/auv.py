@@ -25,6 +25,7 @@ from kedge.core.quantities import (
 )
 from kedge.core.registry import worlds
 from kedge.core.rotations import direction, exp, matrix_of, wrap
+from kedge.estimation.error_states import error_states
 from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
 from kedge.simulation.autopilot import Autopilot, Target
@@ -270,7 +271,9 @@ def _slow(scenario: Scenario) -> dict[str, Any]:
     vehicle = scenario.rig.vehicle
     if not isinstance(vehicle, Augmented):
         return {}
-    return {name: vehicle.augmented[name] for name, _ in vehicle.charts if name not in APART}
+    errors = {name for sensor in scenario.rig.sensors for name in error_states(sensor)}
+    apart = errors.union(APART)
+    return {name: vehicle.augmented[name] for name, _ in vehicle.charts if name not in apart}
 
 
 @ft.cache
