@@ -146,10 +146,15 @@ def _owned_repr(self: Any) -> str:
     return f"{cls.__module__.rpartition('.')[2]}.{cls.__qualname__}({fields})"
 
 
+LONGEST = 60
+"""Letters that a message quotes of a name."""
+
+
 def unknown(kind: str, name: str, known: list[str]) -> str:
     """The sentence for a name that does not exist: the nearest first, then all."""
     near = difflib.get_close_matches(name, known, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
+    name = name if len(name) <= LONGEST else f"{name[:LONGEST]}..."
     return f"no {kind} called {name!r}{hint}; there are {', '.join(known) or 'none'}"
 
 

@@ -112,6 +112,8 @@ def _truth(path: Path) -> Table:
     columns: dict[str, Float[np.ndarray, " n"]] = {}
     units = {}
     seconds = (poses.time - poses.time[0]) / 1e9
+    if len(seconds) < 2 or (np.diff(seconds) <= 0).any():
+        raise DataError(f"{path}: expected two poses or more, each later than the one before")
     velocity = np.gradient(poses.position, seconds, axis=0)
     for name, values, unit, axes in (
         ("position", poses.position, "m", "xyz"),

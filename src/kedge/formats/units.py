@@ -27,6 +27,8 @@ from kedge.core.errors import DataError
 from kedge.core.registry import unknown
 
 DEGREE = math.pi / 180
+LONGEST = 100
+"""Letters of a product of units: what is longer is none, and may be nested too deeply to read."""
 UNITS: dict[str, tuple[str, float]] = {
     "1": ("1", 1.0),
     "%": ("1", 0.01),
@@ -70,6 +72,8 @@ def unit_of(text: str) -> tuple[str, float]:
     if text in UNITS:
         return UNITS[text]
     try:
+        if len(text) > LONGEST:
+            raise ValueError
         powers, factor = _Product(text).read()
     except (ValueError, KeyError, OverflowError):
         raise DataError(
