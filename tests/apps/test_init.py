@@ -41,7 +41,7 @@ def log(tmp_path):
 
 
 def test_a_folder_gets_a_log_and_a_rig_that_run(log):
-    written, missing = init(log, None)
+    written, notes, missing = init(log, None)
     assert [path.name for path in written] == ["log.toml", "rig.toml"]
     assert missing == ""
     problem = load_problem(str(log / "rig.toml"), str(log))
@@ -52,6 +52,7 @@ def test_a_folder_gets_a_log_and_a_rig_that_run(log):
     assert said["sources"]["wheels"]["time_unit"] == "ms"
     assert "hdop" in (log / "log.toml").read_text()
     assert "notes.txt was left out" in (log / "log.toml").read_text()
+    assert [note.split(":")[0] for note in notes] == ["notes.txt was left out"]
     end = np.asarray(problem.truth.fields["position"])[-1]
     np.testing.assert_allclose(end, [X[-1], Y[-1]], atol=1e-3)
 
@@ -63,7 +64,7 @@ def test_an_attitude_of_three_angles_in_ned(tmp_path):
     place = {"lat": 32 + Y / 111_000, "lon": 34 + X / 94_000, "alt": 0 * X - 10}
     write(tmp_path, "GT.csv", time=TIME, **place, **speeds, **angles)
     write(tmp_path, "dvl.csv", time=TIME, **{f"DVL {axis}": 1.0 + 0 * X for axis in "XYZ"})
-    _, missing = init(tmp_path, None)
+    missing = init(tmp_path, None).missing
     assert missing == ""
     problem = load_problem(str(tmp_path / "rig.toml"), str(tmp_path))
     assert problem.rig.names == ("dvl",)
@@ -72,6 +73,36 @@ def test_an_attitude_of_three_angles_in_ned(tmp_path):
     up = np.sin(0.1)  # a pitch of 0.1 rad in NED is nose up
     ahead = np.cos(0.1) * np.array([np.cos(HEADING[-1]), np.sin(HEADING[-1])])
     np.testing.assert_allclose(nose, [*ahead, up], atol=1e-4)
+
+
+def test_of_several_runs_the_first_is_taken(tmp_path):
+    for run in (1, 2):
+        write(tmp_path, f"GT_{run}.csv", time=TIME, x=X, y=Y, heading=HEADING)
+        write(tmp_path, f"wheels_{run}.csv", time=TIME, v=1 + 0 * X, yaw_rate=TURN)
+    tags = ("gps1", "gps2", "gps3")
+    for tag in tags:
+        write(tmp_path, f"{tag}.csv", time=TIME, east=X, north=Y)
+    notes = init(tmp_path, None).notes
+    left_out = {note.partition(" ")[0] for note in notes}
+    assert left_out == {"GT_2.csv", "wheels_2.csv"}
+    assert "of another run; there are 2, and this is that of GT_1" in notes[0]
+    assert load_problem(str(tmp_path / "rig.toml"), str(tmp_path)).rig.names == tags
+
+
+def test_a_truth_with_axes_of_its_own(tmp_path):
+    """Fixes and truth show the same path, turned and moved."""
+    write(tmp_path, "tag.csv", time=TIME, x=X, y=Y)
+    write(tmp_path, "mocap.csv", time=TIME, x=3 - Y, y=X - 4)
+    assert init(tmp_path, None).missing == ""
+    config = load_rig_config(str(tmp_path / "rig.toml"))
+    assert config.truth.own_frame
+    assert config.prior.from_truth == []
+    near = tmp_path / "near"
+    near.mkdir()
+    write(near, "tag.csv", time=TIME, x=X, y=Y)
+    write(near, "mocap.csv", time=TIME, x=X + 0.1, y=Y)
+    init(near, None)
+    assert not load_rig_config(str(near / "rig.toml")).truth.own_frame
 
 
 def test_what_is_there_is_not_written_over(log):
@@ -87,6 +118,9 @@ def test_a_folder_of_which_nothing_is_understood(tmp_path):
     with pytest.raises(DataError, match=r"a\.csv: found no column of times; there are colour"):
         init(tmp_path, None)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+    (tmp_path / "a.csv").write_text("0.0,1.5,-2\n0.1,1.6,-2\n")
+    with pytest.raises(DataError, match=r"a\.csv: 1: found numbers, expected a line with"):
+        init(tmp_path, None)
 
 
 def test_a_bag_gets_a_rig_that_runs(tmp_path):
@@ -114,7 +148,7 @@ def test_a_bag_gets_a_rig_that_runs(tmp_path):
                 data = json.dumps({"header": {"stamp": stamp}, **content}).encode()
                 writer.add_message(topics[name], log_time=time, publish_time=time, data=data)
         writer.finish()
-    written, missing = init(path, tmp_path / "mine")
+    written, _, missing = init(path, tmp_path / "mine")
     assert [p.name for p in written] == ["rig.toml"]
     assert missing == ""
     config = load_rig_config(str(written[0]))

@@ -29,7 +29,9 @@ def test_products(text, unit, factor):
     assert unit_of(text) == (unit, pytest.approx(factor, rel=1e-14))
 
 
-@pytest.mark.parametrize("text", ["", "furlong", "m^", "(m", "m)", "m//s", "m^2^2", "^2", 2000 * "("])
+@pytest.mark.parametrize(
+    "text", ["", "furlong", "m^", "(m", "m)", "m//s", "m^2^2", "^2", 2000 * "("]
+)
 def test_no_units(text):
     with pytest.raises(DataError, match="no unit called"):
         unit_of(text)

@@ -69,11 +69,13 @@ def init(log: Undeclared, out: FirstOut = None) -> None:
     """A first rig for a log, and log.toml for a folder of CSV files: to be read and edited."""
     from kedge.apps.init import init as write_first
 
-    written, missing = write_first(log, out)
-    for path in written:
+    first = write_first(log, out)
+    for path in first.files:
         print(path)
-    if missing:
-        typer.echo(f"kedge: warning: the rig needs an edit first: {missing}", err=True)
+    for note in first.notes:
+        typer.echo(f"note: {note}", err=True)
+    if first.missing:
+        typer.echo(f"kedge: warning: the rig needs an edit first: {first.missing}", err=True)
 
 
 @app.command()

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from kedge.apps.first_frames import truth_has_own_frame
 from kedge.core.manifolds import Rotation as Turn
 from kedge.core.manifolds import columns_of
 from kedge.core.registry import vehicles
@@ -36,6 +37,12 @@ IN_SPACE = (
 )
 """Sensors, what they measure, and which column tells which of their deviations."""
 MAPPED = ("landmarks", "ranges", "ranges3")
+UNTURNED = (
+    "# No source says how the vehicle is turned: its heading will drift. Where an instrument",
+    "# on board wrote the truth's attitude, make its file one more source, and this a sensor:",
+    "# [sensors.NAME_OF_THE_SOURCE]",
+    '# model = "attitude"',
+)
 STD = {"position": 1.0, "heading": 0.5, "velocity": 1.0, "attitude": 0.1, "angular_rate": 0.1}
 KNOWN = {"position": 0.1, "heading": 0.05, "attitude": 0.05}
 """What is believed at the start: of what a sensor tells, and of what the truth tells."""
@@ -43,6 +50,8 @@ KNOWN = {"position": 0.1, "heading": 0.05, "attitude": 0.05}
 
 FLOOR = 0.02
 """m or rad: what lasts in an error is not seen in the scatter between readings."""
+FLOORS = {"range": 0.1}
+"""m: radios err by that for as long as their surroundings are the same."""
 
 
 def is_planar(sources: Mapping[str, set[str]]) -> bool:
@@ -53,7 +62,8 @@ def is_planar(sources: Mapping[str, set[str]]) -> bool:
 def rig_text(raw: RawLog, preamble: str) -> str:
     """A rig file after ``preamble``, which says where the log's sources are."""
     sets = {name: set(table.columns) for name, table in raw.tables.items()}
-    known = set() if raw.truth is None else set(raw.truth.columns)
+    apart = truth_has_own_frame(raw)
+    known = set() if raw.truth is None or apart else set(raw.truth.columns)
     model, source, parameters = _motion(sets, known)
     start = type(vehicles.get(model)().start())
     planar = "heading" in start._fields
@@ -62,7 +72,11 @@ def rig_text(raw: RawLog, preamble: str) -> str:
         or any("position_z" in targets.columns for targets in raw.maps.values())
     ):
         model = "wandering3"
-    lines = [preamble.rstrip("\n"), "", *_vehicle(model, source, parameters)]
+    lines = [preamble.rstrip("\n")]
+    if apart:
+        lines += ["", "# Its axes are not those of the fixes: the path's shape is compared."]
+        lines += ["[truth]", "own_frame = true"]
+    lines += ["", *_vehicle(model, source, parameters)]
     used = set() if source is None else {c for m, c, _ in DRIVEN if m == model for c in c}
     fused: dict[str, set[str]] = {}
     for name, table in raw.tables.items():
@@ -77,6 +91,8 @@ def rig_text(raw: RawLog, preamble: str) -> str:
                 label = name if name not in fused else f"{name}_{kind.replace('-', '_')}"
                 fused[label] = needs
                 lines += _sensor(label, name, kind, table, stds, raw)
+    if "attitude" in start._fields and not any(needs >= TURN for needs in fused.values()):
+        lines += ["", *UNTURNED]
     lines += _prior(model, raw, known, fused)
     lines += ["", "# Each sensor's noise is multiplied by what its innovations ask for; that"]
     lines += ["# of the vehicle stays as it is above. `extended` adapts nothing."]
@@ -95,11 +111,13 @@ def _motion(sets: Mapping[str, set[str]], known: set[str]) -> tuple[str, str | N
         for name, columns in sets.items():
             if needs <= columns:
                 return model, name, parameters
-    turned = known >= TURN or any(columns >= TURN for columns in sets.values())
     for name, columns in sets.items():
+        turned = known >= TURN or any(
+            columns >= TURN for other, columns in sets.items() if other != name
+        )
         if turned and known >= SPACE and columns >= IMU:
             return "strapdown", name, "accelerometer_noise = 0.05, gyroscope_noise = 0.005"
-        if turned and columns >= BODY:
+        if (turned or columns >= TURN) and columns >= BODY:
             return "body-twist", None, "acceleration_noise = 0.1, angular_noise = 0.1"
     return "wandering", None, "acceleration_noise = 0.7, memory = 2.0"
 
@@ -132,19 +150,23 @@ def _sensor(
         yield "covariance = [" + ", ".join(f'"{name}"' for name in covariance) + "]"
     elif stds:
         groups = next(iter(table.texts.values())) if table.texts else None
-        told = (f"{n} = {_scatter(table.columns[c], groups):.2g}" for n, c in stds.items())
-        yield f"parameters = {{ {', '.join(told)} }}  # scatter between readings"
+        scatter = (
+            f"{n} = {max(_scatter(table.columns[c], groups), FLOORS.get(c, FLOOR)):.2g}"
+            for n, c in stds.items()
+        )
+        yield f"parameters = {{ {', '.join(scatter)} }}  # scatter between readings"
+        yield 'robust = { loss = "student" }  # what is far off counts for less'
     yield "# gate = 1e-4  # share of good readings to refuse, once the noise is right"
 
 
 def _scatter(values: Float[np.ndarray, " n"], groups: Sequence[str] | None) -> float:
-    """Twice the white noise of readings, by their second differences, and not below a floor."""
+    """Twice the white noise of readings, by their second differences."""
     names = np.array(groups if groups is not None else [""] * len(values))
     parts = [np.diff(values[names == name], 2) for name in np.unique(names)]
     changes = np.abs(np.concatenate(parts))
     changes = changes[np.isfinite(changes)]
-    white = 1.4826 * float(np.median(changes)) / 6**0.5 if len(changes) else FLOOR
-    return max(2 * white, FLOOR)
+    white = 1.4826 * float(np.median(changes)) / 6**0.5 if len(changes) else 0.0
+    return 2 * white
 
 
 def _prior(
@@ -171,10 +193,10 @@ def _prior(
             if table is None or name in true or name in mean or name == "attitude":
                 continue
             if set(columns[name]) <= needs:
-                first = [float(table.columns[c][0]) for c in columns[name]]
+                first = [float(np.nanmedian(table.columns[c][:5])) for c in columns[name]]
                 mean[name] = f"{name} = [{', '.join(f'{value:.4g}' for value in first)}]"
     if mean:
-        yield f"mean = {{ {', '.join(mean.values())} }}  # the first reading"
+        yield f"mean = {{ {', '.join(mean.values())} }}  # the first readings"
     stds = {name: KNOWN[name] if name in true else STD.get(name, 1.0) for name in charts}
     if "heading" in charts and "heading" not in (*true, *mean):
         stds["heading"] = 2.0  # nobody tells it

@@ -1,6 +1,7 @@
 """The work behind ``init`` and ``show``: a first rig for a log, and a rig as it is resolved."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 from kedge.apps.first_rig import is_planar, rig_text
 from kedge.config.problem import load_problem
@@ -24,12 +25,19 @@ class BagPart(Strict):
     bag: BagConfig
 
 
-def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
-    """Write a first rig for a bag or a folder of CSV files, and for a folder its ``log.toml``.
+class FirstRig(NamedTuple):
+    """What ``init`` made of a log."""
 
-    Returns:
-        What was written, and what is still missing for the rig to run on the log; "" if
-        nothing is.
+    files: list[Path]
+    """What was written."""
+    notes: list[str]
+    """What of the log was left out, and why."""
+    missing: str
+    """What the rig still lacks to run on the log; "" if it runs."""
+
+
+def init(log: Path, out: Path | None) -> FirstRig:
+    """Write a first rig for a bag or a folder of CSV files, and for a folder its ``log.toml``.
 
     Raises:
         DataError: a file is there already, or nothing in the log can be made out.
@@ -43,6 +51,7 @@ def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
         if (out / name).exists():
             raise DataError(f"{out / name}: is there already; remove it, or name another --out")
     out.mkdir(parents=True, exist_ok=True)
+    notes: list[str] = []
     title = f"title = {quoted(log.stem)}\n"
     if bag:
         topics, others = sketch_bag(log)
@@ -58,7 +67,9 @@ def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
         source = str(log)
     else:
         if LOG in names:
-            replace_file(out / LOG, log_text(sketch_folder(log, out), log.name).encode())
+            sketched = sketch_folder(log, out)
+            notes += [f"{name} was left out: {why}" for name, why in sketched.skipped.items()]
+            replace_file(out / LOG, log_text(sketched, log.name).encode())
         try:
             raw = read_log(str(out if LOG in names else log))
         except DataError:
@@ -67,11 +78,12 @@ def init(log: Path, out: Path | None) -> tuple[list[Path], str]:
             raise
         preamble, source = title, str(out if LOG in names else log)
     replace_file(out / RIG, rig_text(raw, preamble).encode())
+    missing = ""
     try:
         load_problem(str(out / RIG), source)
     except KedgeError as error:
-        return [out / name for name in names], str(error)
-    return [out / name for name in names], ""
+        missing = str(error)
+    return FirstRig([out / name for name in names], notes, missing)
 
 
 def show(rig: str) -> str:

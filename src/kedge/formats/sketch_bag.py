@@ -77,7 +77,7 @@ def truth_of(topics: dict[str, SketchedTopic]) -> str | None:
             for name, topic in topics.items()
             if "position_x" in topic.columns
             and not topic.is_map
-            and (TRUTH.search(name) or any(word in name for word in wanted))
+            and (TRUTH[0].search(name) or any(word in name for word in wanted))
         ),
         None,
     )

@@ -2,6 +2,8 @@
 
 import os
 import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,9 +26,12 @@ from kedge.formats.tables import build_table, check_order
 from kedge.formats.toml import quoted
 
 ENDINGS = (".csv", ".csv.gz", ".tsv", ".txt", ".txt.gz")
-TRUTH = re.compile(
-    r"(^|_)(gt|truth|ground_?truth|reference|ref|mocap|vicon|trajectory|rtk)($|_)"
+TRUTH = (
+    re.compile(r"(^|_)(gt|truth|ground_?truth|reference|ref|mocap|vicon|rtk)($|_)"),
+    re.compile(r"(^|_)trajectory($|_)"),
 )
+"""What a truth is called; the second only if nothing is called by the first."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?")
 ANGLES = ("roll", "pitch", "heading")
 SAMPLE = 2000
 """Rows that a guess is made from."""
@@ -78,8 +83,39 @@ def sketch_folder(folder: Path, out: Path) -> SketchedLog:
     if not sources:
         why = "".join(f"\n{name}: {reason}" for name, reason in skipped.items())
         raise DataError(f"{folder}: found no table with a header and a column of times{why}")
-    truth = next((name for name in sources if TRUTH.search(plain(name))), None)
-    return SketchedLog(sources, skipped, truth)
+    truths = _truths(sources)
+    runs = [name for name in truths if _series(name) == _series(truths[0])]
+    if len(runs) > 1:
+        for name in _other_runs(sources, runs):
+            why = f"of another run; there are {len(runs)}, and this is that of {truths[0]}"
+            skipped[Path(sources.pop(name).file).name] = why
+    return SketchedLog(sources, skipped, truths[0] if truths else None)
+
+
+def _truths(sources: Mapping[str, SketchedSource]) -> list[str]:
+    """Sources that are called as truths are, and have positions."""
+    placed = [
+        name
+        for name, source in sources.items()
+        if {"position_x", "latitude"} & {guessed.name for guessed in source.columns.values()}
+    ]
+    by_kind = ([name for name in placed if kind.search(plain(name))] for kind in TRUTH)
+    return next(filter(None, by_kind), [])
+
+
+def _series(name: str) -> str:
+    """What files of the same kind have in common: the name without its last number."""
+    return re.sub(r"_?\d+$", "", name)
+
+
+def _other_runs(sources: Mapping[str, SketchedSource], runs: Sequence[str]) -> list[str]:
+    """Of the kinds of files that come once a run, those that are not of the first."""
+    numbers = {name.removeprefix(_series(name)) for name in runs}
+    first = runs[0].removeprefix(_series(runs[0]))
+    by_kind = defaultdict(set)
+    for name in sources:
+        by_kind[_series(name)].add(name.removeprefix(_series(name)))
+    return [f"{k}{n}" for k, ns in by_kind.items() if ns == numbers for n in ns - {first}]
 
 
 def _sketched(path: Path, file: str) -> SketchedSource:
@@ -87,6 +123,9 @@ def _sketched(path: Path, file: str) -> SketchedSource:
     numbers = {column: _numbers(cells, column) for column in cells.columns}
     times = [c for c, v in numbers.items() if v is not None and TIME.match(plain(c))]
     if not times:
+        words = " ".join(numbers).split()
+        if 2 * sum(NUMBER.fullmatch(word) is not None for word in words) > len(words):
+            raise DataError(f"{path}:1: found numbers, expected a line with the columns' names")
         raise DataError(f"{path}: found no column of times; there are {', '.join(numbers)}")
     targets = [c for c in numbers if TARGET.match(plain(c))]
     guesses: dict[str, tuple[str, Guess]] = {}

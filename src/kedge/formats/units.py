@@ -28,7 +28,7 @@ from kedge.core.registry import unknown
 
 DEGREE = math.pi / 180
 LONGEST = 100
-"""Letters of a product of units: what is longer is none, and may be nested too deeply to read."""
+"""Letters of a product of units: what is longer is none, and may be nested too deeply."""
 UNITS: dict[str, tuple[str, float]] = {
     "1": ("1", 1.0),
     "%": ("1", 0.01),

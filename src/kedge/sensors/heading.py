@@ -16,7 +16,7 @@ class Measurement(NamedTuple):
 
 class Reads(NamedTuple):
     heading: Heading
-    heading_bias: Radians = 0.0
+    heading_bias: Heading = 0.0
 
 
 @sensors.add("heading")
