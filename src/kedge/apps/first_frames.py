@@ -34,9 +34,11 @@ def truth_has_own_frame(raw: RawLog) -> bool:
 
 def _pairs(raw: RawLog) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Fixes of each source, and the truth at their times."""
-    for table in raw.tables.values() if raw.truth is not None else ():
+    if (truth := raw.truth) is None:
+        return
+    for table in raw.tables.values():
         names = [f"position_{axis}" for axis in "xyz"]
-        shared = [n for n in names if n in table.columns and n in raw.truth.columns]
+        shared = [n for n in names if n in table.columns and n in truth.columns]
         if len(shared) < 2 or table.texts:
             continue
         with contextlib.suppress(DataError):  # they are not of the same time
