@@ -19,6 +19,7 @@ from kedge.core.manifolds import space
 from kedge.estimation.batch import pass_over
 from kedge.estimation.rig import as_arrays
 from kedge.simulation.simulate import schedule, simulate, with_readings
+from kedge.tuning.evaluator import Case
 from kedge.tuning.tunable import choose, placed
 from kedge.tuning.tuning import Search, Tuned, tune
 
@@ -44,7 +45,7 @@ def lap_for_tuning(scenario: kedge.Scenario, seed: int, with_truth: bool) -> Tun
     given = truth if with_truth else None
     filter = kedge.make_filter("extended")
     return tune(
-        filter, rig, recording, choose(rig, list(GUESS)), given, search=Search(starts=2)
+        filter, [Case(rig, recording, given)], choose(rig, list(GUESS)), Search(starts=2)
     )
 
 

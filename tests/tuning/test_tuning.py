@@ -19,11 +19,12 @@ from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.gnss import Gnss
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
-from kedge.tuning.evaluator import Evaluator
+from kedge.tuning.evaluator import Case, Evaluator
 from kedge.tuning.log import arranged, timeline
-from kedge.tuning.loss import consistent_weight, known_truth, ungated
+from kedge.tuning.loss import consistent_weight
 from kedge.tuning.tunable import choose, placed, tunables
-from kedge.tuning.tuning import Search, tune
+from kedge.tuning.tuning import Search
+from kedge.tuning.tuning import tune as tune_cases
 from kedge.vehicles.commanded import Commanded
 from kedge.vehicles.constant_velocity import ConstantVelocity, DiscreteWhiteAcceleration
 
@@ -41,13 +42,14 @@ def recorded(seed, duration=100.0):
     return record(scenario, jr.key(seed), output_rate=2.0)
 
 
-def evaluator_of(rig, recording, truth=None):
-    rig, tails, _ = ungated(rig)
-    known = None if truth is None else known_truth(recording, truth, rig.prior.mean)
+def evaluator_of(rig, recording, truth=None, horizons=()):
     chosen = tuple(choose(rig, None))
-    return Evaluator(
-        ExtendedKalman(), rig, tails, recording, known, chosen, np.full(2, 9.0), np.inf
-    )
+    cases = [Case(rig, recording, truth)]
+    return Evaluator(ExtendedKalman(), cases, chosen, np.full(2, 9.0), horizons)
+
+
+def tune(filter, rig, recording, chosen, truth=None, until=np.inf, search=None):
+    return tune_cases(filter, [Case(rig, recording, truth, until)], chosen, search)
 
 
 @pytest.fixture(scope="module")

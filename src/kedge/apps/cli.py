@@ -7,6 +7,7 @@ import typer
 import typer.main
 
 from kedge import __version__
+from kedge.apps import tune_options as tuning
 from kedge.apps.console import (
     check_requirements,
     finish,
@@ -250,26 +251,18 @@ def merge(
 @app.command()
 def tune(
     rig: Rig,
-    log: Source,
+    logs: tuning.Logs,
     out: Out,
     filter: Annotated[str | None, typer.Option(help="Instead of the rig's own.")] = None,
-    parameters: Annotated[
-        str | None,
-        typer.Option(help="Names with commas between, instead of all noise of the rig."),
-    ] = None,
-    with_truth: Annotated[
-        bool, typer.Option("--with-truth", help="Judge errors against the log's truth.")
-    ] = False,
-    hold_out: Annotated[
-        float, typer.Option(help="Share of the log, at its end, not tuned on but scored.")
-    ] = 0.5,
-    starts: Annotated[int, typer.Option(help="From how many values to begin.")] = 4,
-    span: Annotated[
-        float, typer.Option(help="Stay within this factor of the rig's own values.")
-    ] = 1000.0,
-    bounds: Annotated[
-        list[str] | None, typer.Option("--bounds", help="Other bounds: KEY=LOW:HIGH.")
-    ] = None,
+    parameters: tuning.Parameters = None,
+    horizons: tuning.Horizons = None,
+    with_truth: tuning.WithTruth = False,
+    hold_out: tuning.HoldOut = None,
+    blocks: tuning.Blocks = None,
+    leave_one_out: tuning.LeaveOneOut = None,
+    starts: tuning.Starts = 4,
+    span: tuning.Span = 1000.0,
+    bounds: tuning.Bounds = None,
     until: Until = None,
     seed: Seed = 0,
     set_: Set = None,
@@ -277,15 +270,16 @@ def tune(
     report: Annotated[bool, typer.Option(help="Draw the profiles of the loss.")] = True,
     as_json: Json = False,
 ) -> None:
-    """Noise, scales and latencies of a rig from a recorded log."""
-    from kedge.apps.tune import Options, execute, print_tuned
+    """Noise, scales and latencies of a rig from recorded logs."""
+    from kedge.apps.tune import Options, execute
+    from kedge.apps.tune_output import print_tuned
 
     conditions = parse_requirements(require_ or [])
     options = Options(
         filter, parameters, with_truth, hold_out, starts, span, bounds or (), until, seed,
-        set_, report,
+        set_, report, horizons, blocks, leave_one_out,
     )  # fmt: skip
-    summary = execute(rig, log, out, options)
+    summary = execute(rig, logs, out, options)
     if as_json:
         print_json(summary)
     else:

@@ -10,7 +10,7 @@ from kedge.apps.study_output import content_of, summary_of, write_study
 from kedge.config.loading import Settings, Source, as_overrides
 from kedge.config.scenarios import Setting, load_scenario
 from kedge.core.contracts import AbstractFilter
-from kedge.core.errors import DataError
+from kedge.core.errors import ContractError, DataError
 from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
 from kedge.estimation.views import pandas_module
@@ -23,6 +23,7 @@ from kedge.studies.figures_of_merit import StudyScores, StudySummary
 from kedge.studies.scores import Result, Tally
 from kedge.studies.study import Study
 from kedge.studies.trials import Trials
+from kedge.tuning.evaluator import Case
 from kedge.tuning.tunable import choose
 from kedge.tuning.tuning import Search, Tuned
 from kedge.tuning.tuning import tune as tuned_by
@@ -128,20 +129,22 @@ def study(
 
 
 def tune(
-    rig: Rig,
-    log: Recording,
+    rig: Rig | Sequence[Rig],
+    log: Recording | Sequence[Recording],
     parameters: Sequence[str] | None = None,
     filter: AbstractFilter | None = None,
     with_truth: bool = False,
     until: float = math.inf,
     search: Search | None = None,
     progress: Progress = _quiet,
+    horizons: Sequence[float] = (),
 ) -> Tuned:
-    """Find the values under which a log is least surprising; ``.rig(rig)`` has them.
+    """Find the values under which logs are least surprising; ``.rig(rig)`` has them.
 
     Args:
-        rig: where the search starts.
-        log: up to ``until`` seconds, it is what is judged.
+        rig: where the search starts; of several logs one for each if their priors or maps
+            differ.
+        log: up to ``until`` seconds, it is what is judged; or several.
         parameters: keys or unique ends of them, ``std`` or ``gnss.parameters.std``; without
             any, all noise that the rig's behaviour depends on.
         filter: the extended filter, unless given.
@@ -149,16 +152,25 @@ def tune(
         until: the rest of the log is left to judge the result by.
         search: starts, bounds and seed.
         progress: is told what is being done.
+        horizons: s; judge readings as predicted over each, not from one to the next.
 
     Raises:
-        DataError: ``with_truth`` without one, or nothing of the log is left to judge.
+        DataError: ``with_truth`` without one, or nothing of a log is left to judge.
         ConfigError: a parameter is unknown, has no start above 0, or bad bounds.
-        ContractError: the filter has no derivative in its noise.
+        ContractError: the filter has no derivative in its noise, or there are not as many rigs
+            as logs.
     """
-    if with_truth and log.truth is None:
+    logs = [log] if isinstance(log, Recording) else list(log)
+    rigs = [rig] * len(logs) if isinstance(rig, Rig) else list(rig)
+    if not logs or len(rigs) != len(logs):
+        raise ContractError(
+            f"tune: found {len(rigs)} rigs for {len(logs)} logs, expected one for each"
+        )
+    if with_truth and any(one.truth is None for one in logs):
         raise DataError("tune: with_truth is set, but the log has no truth")
-    truth = log.truth if with_truth else None
-    chosen = choose(rig, parameters)
-    return tuned_by(
-        filter or ExtendedKalman(), rig, log, chosen, truth, until, search, progress
-    )
+    cases = [
+        Case(own, one, one.truth if with_truth else None, until)
+        for own, one in zip(rigs, logs, strict=True)
+    ]
+    chosen = choose(rigs[0], parameters)
+    return tuned_by(filter or ExtendedKalman(), cases, chosen, search, horizons, progress)

@@ -1,5 +1,6 @@
-"""The work behind ``kedge tune``: find numbers of a rig, judge them on the rest of the log."""
+"""The work behind ``kedge tune``: find numbers of a rig, and judge them on other parts."""
 
+import math
 import platform
 import sys
 from collections.abc import Mapping, Sequence
@@ -7,24 +8,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kedge import __version__
-from kedge.apps.console import command_line, console_progress, printer
+from kedge.apps import tune_parts as parts
+from kedge.apps.console import command_line, console_progress
 from kedge.apps.workflow import load_with_raw, settings
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem, fitted
 from kedge.config.rigs import load_rig_config
 from kedge.core.errors import ConfigError, DataError
-from kedge.estimation.batch import estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
-from kedge.evaluation.score import score
 from kedge.formats.results import as_toml, plain, write_summary
 from kedge.formats.results_folder import results_folder
 from kedge.reports.style import save_png, svg_of
-from kedge.reports.tuning_report import draw_profiles, parameter_rows, part_scores
+from kedge.reports.tuning_report import draw_profiles, parameter_rows
+from kedge.tuning.generalisation import generalisation, leave_one_out
 from kedge.tuning.loss import ungated
 from kedge.tuning.tunable import choose
-from kedge.tuning.tuning import Search, Tuned, tune
+from kedge.tuning.tuning import Search, Tuned, conclude, fit
 
-MOST_HELD_OUT = 0.9
+HOLD_OUT, MOST_HELD_OUT = 0.5, 0.9
 WORSE = 1.1
 """By this factor an error must grow to be worth a warning."""
 
@@ -35,8 +36,8 @@ class Options(NamedTuple):
     filter: str | None = None
     parameters: str | None = None
     with_truth: bool = False
-    hold_out: float = 0.5
-    """Share of the log, at its end, that is not tuned on."""
+    hold_out: float | None = None
+    """Share of the log, at its end, that is not tuned on; :data:`HOLD_OUT` if not given."""
     starts: int = 4
     span: float = 1000.0
     bounds: Sequence[str] = ()
@@ -44,53 +45,106 @@ class Options(NamedTuple):
     seed: int = 0
     changes: Sequence[str] | None = None
     figure: bool = True
+    horizons: str | None = None
+    """s, with commas between."""
+    blocks: int | None = None
+    """Of one log, each of which is left out in turn."""
+    leave_one_out: bool | None = None
+    """If not said, wherever there are several logs or blocks."""
 
 
-def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
+def execute(rig: str, logs: Sequence[str], out: Path, options: Options) -> dict[str, Any]:
     """Tune, judge, write the folder; return the summary.
 
     Raises:
-        KedgeError: the rig, the log or an option cannot be used; nothing is left.
+        KedgeError: the rig, a log or an option cannot be used; nothing is left.
     """
-    if not 0 <= options.hold_out <= MOST_HELD_OUT:
+    leaves_out = parts.leaves_out(
+        len(logs), options.blocks, options.leave_one_out, options.hold_out
+    )
+    hold_out = HOLD_OUT if options.hold_out is None else options.hold_out
+    if leaves_out or len(logs) > 1:
+        hold_out = 0.0
+    if not 0 <= hold_out <= MOST_HELD_OUT:
         raise ConfigError(
-            f"--hold-out: found {options.hold_out:g}, expected a share from 0 to "
-            f"{MOST_HELD_OUT:g}"
+            f"--hold-out: found {hold_out:g}, expected a share from 0 to {MOST_HELD_OUT:g}"
         )
     names = None if options.parameters is None else split_list(options.parameters)
     bounds = parse_bounds(options.bounds)
+    horizons = parse_horizons(options.horizons)
     use_compilation_cache()
-    problem, raw = load_with_raw(rig, log, "auto", options.until, options.changes)
-    spec = options.filter or problem.filter
+    loaded = [load_with_raw(rig, log, "auto", options.until, options.changes) for log in logs]
+    problems = [problem for problem, _ in loaded]
+    first = problems[0]
+    parts.check_logs(logs, problems)
+    spec = options.filter or first.filter
     filter = build_filter(spec)
-    if options.with_truth and problem.truth is None:
-        raise DataError(f"{log}: --with-truth: the log has no truth")
-    chosen = choose(problem.rig, names)
+    for log, problem in zip(logs, problems, strict=True):
+        if options.with_truth and problem.truth is None:
+            raise DataError(f"{log}: --with-truth: the log has no truth")
+    chosen = choose(first.rig, names)
     known = {t.key for t in chosen}
     bounds = {_completed(name, known): ends for name, ends in bounds.items()}
     search = Search(options.starts, options.span, bounds, options.seed)
-    duration = float(problem.recording.log.schedule.time[-1])
-    until = duration * (1 - options.hold_out)
-    with results_folder(out, "tune") as folder, console_progress() as progress:
-        truth = problem.truth if options.with_truth else None
-        tuned = tune(
-            filter, problem.rig, problem.recording, chosen, truth, until, search, progress
-        )
-        progress("scores")
+    share = 1 - hold_out
+    cases = parts.cases_of(problems, options.with_truth, share)
+
+    def rigged(values: Any, number: int) -> Problem:
+        """A log with the rig of these values."""
         overrides: dict[str, Any] = settings(options.changes) | {"filter.name": f'"{spec}"'}
-        overrides |= {t.key: float(v) for t, v in zip(chosen, tuned.values, strict=True)}
-        after = fitted(load_rig_config(rig, overrides), raw, log, "auto", options.until)
-        cases = {"start": problem, "tuned": after}
-        if any(own.gate is not None for own in problem.rig.sensors):
-            cases["tuned_ungated"] = after._replace(rig=ungated(after.rig)[0])
-        scores = {
-            name: _scores(name, spec, found, until, duration) for name, found in cases.items()
+        overrides |= {t.key: float(v) for t, v in zip(chosen, values, strict=True)}
+        config, raw = load_rig_config(rig, overrides), loaded[number][1]
+        return fitted(config, raw, logs[number], "auto", options.until)
+
+    with results_folder(out, "tune") as folder, console_progress() as progress:
+        whole = fit(filter, cases, chosen, search, horizons, progress)
+        tuned = conclude(whole)
+        after = [rigged(tuned.values, number) for number in range(len(logs))]
+        spans = parts.spans_of(problems, options.blocks, share)
+        generalises, without = None, []
+        if leaves_out:
+            left = parts.without_each(cases, spans)
+            without = leave_one_out(
+                filter, left, whole, tuned.values, search, horizons, progress
+            )
+            what = "blocks" if options.blocks else "logs"
+            generalises = generalisation(without, chosen, what)
+        progress("scores")
+        scored = {
+            "start": [problems[span.log] for span in spans],
+            "tuned": [after[span.log] for span in spans],
         }
-        summary = summarise(problem, tuned, options, spec, until, scores)
+        if leaves_out:
+            scored["left_out"] = [
+                rigged(part.values, span.log) for part, span in zip(without, spans, strict=True)
+            ]
+        elif any(own.gate is not None for own in first.rig.sensors):
+            bare = [problem._replace(rig=ungated(problem.rig)[0]) for problem in after]
+            scored["tuned_ungated"] = [bare[span.log] for span in spans]
+        scores = parts.scores_of(scored, spans, spec)
+        for number, part in enumerate(without):
+            name = spans[number].name
+            for column, loss in zip(scores, part[2:], strict=True):
+                scores[column][name]["loss"] = loss
+        until = None if leaves_out or len(logs) > 1 else spans[0].end
+        summary = summarise(problems, tuned, options, spec, until, scores)
+        summary |= {"horizons": list(horizons), "logs": dict(parts.named(logs))}
+        if generalises is not None:
+            summary["generalisation"] = generalises._asdict() | {
+                "parts": {
+                    span.name: {
+                        t.key: float(value)
+                        for t, value in zip(chosen, part.values, strict=True)
+                    }
+                    for span, part in zip(spans, without, strict=True)
+                }
+            }
+            if generalises.status != "holds":
+                summary["warnings"].append(generalises.sentence)
         for warning in summary["warnings"]:
             print(f"warning: {warning}", file=sys.stderr)
         write_summary(folder / "tune.json", summary)
-        (folder / "tuned.toml").write_text(tuned_rig(rig, after), encoding="utf-8")
+        (folder / "tuned.toml").write_text(tuned_rig(rig, after[0]), encoding="utf-8")
         figure = draw_profiles(tuned) if options.figure else None
         if figure is not None:
             (folder / "profile.svg").write_text(svg_of(figure), encoding="utf-8")
@@ -99,11 +153,11 @@ def execute(rig: str, log: str, out: Path, options: Options) -> dict[str, Any]:
 
 
 def summarise(
-    problem: Problem,
+    problems: Sequence[Problem],
     tuned: Tuned,
     options: Options,
     filter: str,
-    until: float,
+    until: float | None,
     scores: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What goes into ``tune.json``."""
@@ -112,9 +166,11 @@ def summarise(
         "arguments": command_line(),
         "version": __version__,
         "platform": f"Python {platform.python_version()}, {platform.machine()}",
-        "title": problem.title,
+        "title": problems[0].title,
         "filter": filter,
-        "criterion": "truth" if options.with_truth else "innovations",
+        "criterion": "truth"
+        if options.with_truth
+        else ("horizons" if options.horizons else "innovations"),
         "tuned_until": until,
         "seed": options.seed,
         "parameters": parameter_rows(tuned),
@@ -130,17 +186,17 @@ def summarise(
         ],
         "agreed": tuned.agreed,
         "scores": scores,
-        "notes": [*problem.notes, *tuned.notes],
+        "notes": [*(note for problem in problems for note in problem.notes), *tuned.notes],
         "warnings": warnings(scores, options.with_truth),
-        "inputs_digest": problem.inputs_digest,
+        "inputs_digest": " ".join(problem.inputs_digest for problem in problems),
     }
 
 
 def warnings(scores: Mapping[str, Any], with_truth: bool) -> list[str]:
     """What is worse with the values found than with those of the rig."""
-    found = []
+    found, tuned = [], scores.get("left_out", scores["tuned"])
     for part, before in scores["start"].items():
-        after, name = scores["tuned"][part], part.replace("_", "-")
+        after, name = tuned[part], part.replace("_", "-")
         if after["fused"] < 0.95 * before["fused"]:
             found.append(
                 f"{name} part: with the values found the rig's gates refuse more: "
@@ -156,7 +212,8 @@ def warnings(scores: Mapping[str, Any], with_truth: bool) -> list[str]:
     if found and not with_truth:
         found.append(
             "errors that are correlated in time, or a model that lacks something, make "
-            "readings look better than they are; try --with-truth"
+            "readings look better than they are; try --horizons, an error with a memory "
+            "(std and time constant), or --with-truth"
         )
     return found
 
@@ -167,65 +224,6 @@ def tuned_rig(rig: str, after: Problem) -> str:
     if modules := config.get("modules"):
         config["modules"] = [str((Path(rig).parent / name).resolve()) for name in modules]
     return as_toml(config)
-
-
-def print_tuned(summary: Mapping[str, Any]) -> None:
-    """The table of numbers, what the log says of them, and the scores before and after."""
-    from rich.table import Table
-
-    console = printer()
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("parameter", "start", "found", "factor", "std error", "identified"):
-        table.add_column(
-            name, justify="left" if name in ("parameter", "identified") else "right"
-        )
-    for row in summary["parameters"]:
-        factor = row["factor"]
-        table.add_row(
-            row["key"], f"{row['start']:.4g}", f"{row['found']:.4g}",
-            "-" if factor is None else f"{factor:.3g}", _uncertainty(row), row["verdict"],
-        )  # fmt: skip
-    console.print(table)
-    for sentence in summary["flat"]:
-        console.print(f"flat: {sentence}", markup=False, soft_wrap=True)
-    loss = summary["loss"]
-    console.print(
-        f"loss by {'output time' if summary['criterion'] == 'truth' else 'reading'}: "
-        f"{loss['start']:.4g} -> {loss['tuned']:.4g}; {summary['agreed']} of "
-        f"{len(summary['starts'])} starts agree\n"
-    )
-    for part in summary["scores"]["start"]:
-        several = {name: parts[part] for name, parts in summary["scores"].items()}
-        said = ", ".join(_said(several))
-        names = " -> ".join(several).replace("_", " ")
-        console.print(f"{part.replace('_', '-')} part ({names}): {said}", soft_wrap=True)
-
-
-def _uncertainty(row: Mapping[str, Any]) -> str:
-    error = row["std_error"]
-    if error is None or error > 10:
-        return "-"
-    return f"{100 * error:.2g} %" if row["of_logarithm"] else f"{error:.2g}"
-
-
-def _said(several: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Each score as it was and as it is."""
-    first = next(iter(several.values()))
-    rows: list[tuple[str, tuple[str, ...]]]
-    rows = [(f"rmse {field}", ("rmse", field)) for field in first.get("rmse", {})]
-    for name in ("nees", "nis"):
-        if f"{name}_dof" in first:
-            rows.append((f"{name} (of {first[f'{name}_dof']:.3g})", (name,)))
-    found = []
-    for title, path in [*rows, ("fused", ("fused",))]:
-        values = []
-        for scores in several.values():
-            value: Any = scores
-            for key in path:
-                value = value.get(key, {})
-            values.append(f"{value:.3g}" if isinstance(value, float) else f"{value or '-'}")
-        found.append(f"{title} {' -> '.join(values)}")
-    return found
 
 
 def split_list(text: str) -> list[str]:
@@ -252,18 +250,22 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     return found
 
 
+def parse_horizons(text: str | None) -> tuple[float, ...]:
+    """What ``--horizons`` was given: seconds with commas between.
+
+    Raises:
+        ConfigError: one of them is no time above 0.
+    """
+    try:
+        horizons = tuple(float(each) for each in split_list((text or "").replace(" ", ",")))
+    except ValueError:
+        horizons = (0.0,)
+    if not all(0 < each < math.inf for each in horizons) or (text is not None and not horizons):
+        raise ConfigError(f"--horizons {text!r}: expected seconds above 0, e.g. 1,5,20")
+    return horizons
+
+
 def _completed(name: str, keys: set[str]) -> str:
     """A bound may name a number by the end of its key, as ``--parameters`` may."""
     ends = [key for key in keys if key.endswith(f".{name}")]
     return name if name in keys or len(ends) != 1 else ends[0]
-
-
-def _scores(
-    name: str, filter: str, problem: Problem, until: float, duration: float
-) -> dict[str, Any]:
-    found = estimate(build_filter(filter), problem.rig, problem.recording.log)
-    run = score(name, found, problem.recording, problem.rig, problem.truth)
-    parts = {"tuning": (-1.0, until)}
-    if until < duration:
-        parts["held_out"] = (until, duration + 1.0)
-    return {part: part_scores(run, *ends) for part, ends in parts.items()}

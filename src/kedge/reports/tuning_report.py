@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kedge.core.verdicts import Verdict
-from kedge.evaluation.consistency import nees
+from kedge.evaluation.consistency import coverage, nees
 from kedge.evaluation.score import Run
 from kedge.reports import style
 from kedge.tuning.tuning import Tuned
@@ -22,7 +22,7 @@ COLUMNS = 3
 def part_scores(run: Run, begin: float | int, end: float | int) -> dict[str, Any]:
     """Scores of one run after ``begin`` and up to ``end`` seconds; none where nothing is known.
 
-    RMSE by field and NEES need truth; NIS and log-likelihood are means by fused reading.
+    RMSE, coverage and NEES need truth; NIS and log-likelihood are means by fused reading.
     """
     outcome = run.estimates.outcome
     time = np.asarray(run.estimates.time)
@@ -45,6 +45,10 @@ def part_scores(run: Run, begin: float | int, end: float | int) -> dict[str, Any
         error = errors.error[there]
         found["rmse"] = {
             field: float(np.sqrt(np.mean(np.sum(error[:, cut] ** 2, axis=1))))
+            for field, cut in errors.fields.items()
+        }
+        found["coverage_95"] = {
+            field: float(coverage(error[:, cut], errors.cov[there][:, cut, cut]))
             for field, cut in errors.fields.items()
         }
         found["nees"] = float(np.mean(np.asarray(nees(error, errors.cov[there]))))

@@ -11,10 +11,10 @@ from jaxtyping import Array, Float
 
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError, DataError
-from kedge.estimation.log import Log, Recording
+from kedge.estimation.log import Log, Recording, Truth
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.tuning.log import arranged, timeline
-from kedge.tuning.loss import Known, Losses, Tails
+from kedge.tuning.log import Timeline, arranged, timeline
+from kedge.tuning.loss import Losses, known_truth, ungated
 from kedge.tuning.tunable import Tunable, placed
 
 BLOCKS = 30
@@ -34,60 +34,69 @@ class Evaluation(NamedTuple):
     judged: int
 
 
+class Case(NamedTuple):
+    """A log that is judged, and the rig on it."""
+
+    rig: Rig
+    recording: Recording
+    truth: Truth | None = None
+    """Given, it is what is judged; else the readings."""
+    until: float | int = np.inf
+    """s; the log ends there."""
+    left_out: tuple[float, float] = (np.inf, np.inf)
+    """From when on and up to when, in s, nothing is judged."""
+
+
+class Judged(NamedTuple):
+    """A case made ready."""
+
+    rig: Rig
+    line: Timeline
+    losses: Losses
+    left_out: Float[np.ndarray, "2"]
+
+
 class Evaluator:
     """The loss and its gradient as a function of the coordinates of the search.
 
     Coordinates are logarithms of what is above 0; of other numbers multiples of ``scale``,
-    which is about as far as the log lets them be known.
+    which is about as far as the logs let them be known.
     """
 
     def __init__(
         self,
         filter: AbstractFilter,
-        rig: Rig,
-        tails: Tails,
-        recording: Recording,
-        known: Known | None,
+        cases: Sequence[Case],
         chosen: tuple[Tunable, ...],
         high: Float[np.ndarray, " p"],
-        until: float | int,
+        horizons: Sequence[float] = (),
     ):
-        sensors = len(rig.sensors)
         # Without their values, so that other starts compile nothing anew.
         self.places = tuple(t._replace(value=0.0) for t in chosen)
-        self.rig = as_arrays(rig)
         self.logarithmic = np.array([t.is_logarithmic for t in chosen])
         self.scale = np.ones(len(chosen))
         self.base = np.array([t.value for t in chosen])
         self.moving = {
             t.latency_of: i for i, t in enumerate(chosen) if t.latency_of is not None
         }
-        earlier = np.zeros(sensors)
+        earlier = np.zeros(len(cases[0].rig.sensors))
         for sensor, index in self.moving.items():
             earlier[sensor] = max(high[index] - self.base[index], 0.0)
-        self.line = timeline(recording, until, earlier)
-        outputs = int(self.line.is_output.sum())
-        if known is not None:
-            # Outputs keep their order, whatever moves between them.
-            known = known._replace(
-                events=known.events[:outputs],
-                there=known.there[:outputs],
-                fields={name: v[:outputs] for name, v in known.fields.items()},
-            )
-            if not known.there.any():
-                raise DataError("truth covers none of the output times that are tuned on")
-        self.losses = Losses(as_arrays(filter), tails, known)
+        self.cases = [_judged(filter, case, earlier, horizons) for case in cases]
         self.judged, self.fused = 0, -1
-        self._kept: tuple[Log, Losses] | None = None
+        self._kept: dict[int, tuple[Log, Losses]] = {}
 
     def begin(self, start: Evaluation) -> None:
         """Take the first evaluation as what all others are compared with.
 
         Raises:
             ContractError: it cannot be used.
+            DataError: it judges nothing.
         """
         if start.fused == 0:
             raise ContractError("tune: the filter fused no reading; there is nothing to judge")
+        if start.judged == 0:
+            raise DataError("tune: no reading is left to judge: none is held back")
         if not (np.isfinite(start.total) and np.isfinite(start.gradient).all()):
             raise ContractError(
                 f"tune: the loss is {start.total:g} at the start and its derivative "
@@ -104,13 +113,20 @@ class Evaluator:
     def __call__(self, point: Float[np.ndarray, " p"]) -> Evaluation:
         """Loss and gradient; the ceiling, level, where other readings are fused."""
         values = self.values(point)
-        log, losses = self._at(values)
-        total, gradient, blocks, fused, judged = jax.tree.map(
-            np.asarray,
+        parts = [
             _evaluate(
-                losses, self.rig, log, jnp.asarray(values), jnp.asarray(self.base), self.places
-            ),
+                losses, case.rig, log, jnp.asarray(values), jnp.asarray(self.base), self.places,
+                jnp.asarray(case.left_out),
+            )
+            for case, (log, losses) in (
+                (case, self._at(values, number)) for number, case in enumerate(self.cases)
+            )
+        ]  # fmt: skip
+        totals, gradients, by_block, fusions, judgements = zip(
+            *jax.tree.map(np.asarray, parts), strict=True
         )
+        total, gradient, fused = sum(totals), sum(gradients), sum(fusions)
+        blocks, judged = np.concatenate(by_block), sum(judgements)
         by_coordinate = np.where(self.logarithmic, values, self.scale)
         evaluation = Evaluation(
             float(total),
@@ -125,18 +141,19 @@ class Evaluator:
             return evaluation._replace(total=self.ceiling, gradient=nothing)
         return evaluation
 
-    def _at(self, values: Float[np.ndarray, " p"]) -> tuple[Log, Losses]:
-        """The log in the order that these latencies give it, and its losses."""
-        kept = self._kept
+    def _at(self, values: Float[np.ndarray, " p"], number: int) -> tuple[Log, Losses]:
+        """A log in the order that these latencies give it, and its losses."""
+        kept = self._kept.get(number)
         if kept is None or self.moving:
-            later = np.zeros(len(self.rig.sensors))
+            case = self.cases[number]
+            later, losses = np.zeros(len(case.rig.sensors)), case.losses
             for sensor, index in self.moving.items():
                 later[sensor] = values[index] - self.base[index]
-            order, losses = arranged(self.line, later), self.losses
+            order = arranged(case.line, later)
             if losses.known is not None:
                 known = losses.known._replace(events=order.outputs)
-                losses = Losses(losses.filter, losses.tails, known)
-            kept = self._kept = as_arrays((order.log, losses))
+                losses = Losses(losses.filter, losses.tails, known, losses.horizons)
+            kept = self._kept[number] = as_arrays((order.log, losses))
         return kept
 
     def values(self, point: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
@@ -151,6 +168,41 @@ class Evaluator:
         return np.where(self.logarithmic, logs, (values - self.base) / self.scale)
 
 
+def _judged(
+    filter: AbstractFilter,
+    case: Case,
+    earlier: Float[np.ndarray, " s"],
+    horizons: Sequence[float],
+) -> Judged:
+    """A case made ready.
+
+    Raises:
+        DataError: nothing of the log is there to judge, or it is too short for a horizon.
+    """
+    rig, tails, _ = ungated(case.rig)
+    line = timeline(case.recording, case.until, earlier)
+    known = None
+    if case.truth is not None:
+        known = known_truth(case.recording, case.truth, rig.prior.mean)
+        outputs = int(line.is_output.sum())
+        # Outputs keep their order, whatever moves between them.
+        known = known._replace(
+            events=known.events[:outputs],
+            there=known.there[:outputs],
+            fields={name: v[:outputs] for name, v in known.fields.items()},
+        )
+        if not known.there.any():
+            raise DataError("truth covers none of the output times that are tuned on")
+    for horizon in horizons:
+        if not 0 < horizon <= line.time[-1] / 2:
+            raise DataError(
+                f"horizons: found {horizon:g} s, expected above 0 and at most half of the "
+                f"{line.time[-1]:.4g} s of log that are tuned on"
+            )
+    losses = Losses(as_arrays(filter), tails, known, np.asarray(horizons, float))
+    return Judged(as_arrays(rig), line, losses, np.asarray(case.left_out))
+
+
 @eqx.filter_jit
 def _evaluate(
     losses: Losses,
@@ -159,21 +211,25 @@ def _evaluate(
     values: Float[Array, " p"],
     base: Float[Array, " p"],
     places: tuple[Tunable, ...],
+    left_out: Float[Array, "2"],
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Sum of the losses, its gradient, that by block, readings fused, losses counted."""
+    recorded = log.schedule.time
 
     def of(values: Float[Array, " p"]):
-        time = log.schedule.time
+        time = recorded
         for index, tunable in enumerate(places):
             if tunable.latency_of is not None:
                 mine = log.schedule.sensor == tunable.latency_of
                 time = time - jnp.where(mine, values[index] - base[index], 0.0)
         shifted = log._replace(schedule=log.schedule._replace(time=time))
-        terms, fused = losses(placed(rig, places, values), shifted)
-        return terms, (terms, fused)
+        terms, judged, fused = losses(placed(rig, places, values), shifted, recorded)
+        at = recorded if losses.known is None else recorded[losses.known.events]
+        counts = (at < left_out[0]) | (at >= left_out[1])
+        terms, judged = jnp.where(counts, terms, 0.0), jnp.where(counts, judged, 0)
+        return terms, (terms, jnp.sum(judged), fused)
 
-    jacobian, (terms, fused) = jax.jacfwd(of, has_aux=True)(values)
+    jacobian, (terms, judged, fused) = jax.jacfwd(of, has_aux=True)(values)
     block = jnp.arange(len(terms)) * BLOCKS // len(terms)
     blocks = jax.ops.segment_sum(jacobian, block, BLOCKS)
-    judged = fused if losses.known is None else jnp.sum(losses.known.there)
     return jnp.sum(terms), jnp.sum(jacobian, axis=0), blocks, fused, judged

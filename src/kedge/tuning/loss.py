@@ -13,6 +13,7 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
+from kedge.estimation.held_back import held_back, windows, with_twins
 from kedge.estimation.log import Log, Recording, Truth
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.score import truth_at
@@ -103,8 +104,8 @@ def known_truth(recording: Recording, truth: Truth, state: Any) -> Known:
 
 def innovation_losses(
     estimates: Estimates, sensor: Int[Array, " T"], tails: Tails
-) -> tuple[Float[Array, " T"], Int[Array, ""]]:
-    r"""Minus the log-likelihood of every reading that was fused, 0 elsewhere; and their number.
+) -> tuple[Float[Array, " T"], Bool[Array, " T"]]:
+    r"""Minus the log-likelihood of every reading that was fused, 0 elsewhere; and which were.
 
     Normal: $\tfrac12(\nu^\top S^{-1} \nu + \log\det S + d \log 2\pi)$. With heavy tails
     $\tfrac12(\log\det S + \kappa (n + d) \log(1 + \nu^\top S^{-1} \nu / n) + c)$, with n
@@ -124,17 +125,18 @@ def innovation_losses(
     nu = jnp.where(heavy, freedom, 1.0)
     student = jnp.asarray(tails.weight)[at, dof - 1] * (nu + dof) * jnp.log1p(nis / nu)
     loss = 0.5 * (log_det + constant + jnp.where(heavy, student, nis))
-    return jnp.where(fused, loss, 0.0), jnp.sum(fused)
+    return jnp.where(fused, loss, 0.0), fused
 
 
 def truth_losses(
     estimates: Estimates, known: Known
-) -> tuple[Float[Array, " K"], Int[Array, ""]]:
+) -> tuple[Float[Array, " K"], Bool[Array, " K"]]:
     r"""Minus the log-density of the true error under the belief, at every output time.
 
     $\tfrac12(e^\top P^{-1} e + \log\det P + d \log 2\pi)$ with $e = x \boxminus \hat x$ and P
     the block of the covariance of the fields that truth knows: a small error and an honest
-    covariance make it small. 0 where truth is unknown; the second result counts the others.
+    covariance make it small. 0 where truth is unknown; the second result says where it is
+    known.
     """
     mean = jax.tree.map(lambda leaf: leaf[known.events], estimates.moments.mean)
     states = space_of(type(mean))
@@ -152,7 +154,8 @@ def truth_losses(
         return 0.5 * (white @ white + log_det + len(picked) * jnp.log(2 * jnp.pi))
 
     loss = jax.vmap(one)(jax.tree.map(jnp.asarray, known.fields), mean, cov)
-    return jnp.where(jnp.asarray(known.there), loss, 0.0), jnp.sum(known.there)
+    covered = jnp.asarray(known.there)
+    return jnp.where(covered, loss, 0.0), covered
 
 
 class Losses(eqx.Module):
@@ -162,9 +165,41 @@ class Losses(eqx.Module):
     tails: Tails
     known: Known | None
     """Given, the truth is what is judged; else the readings."""
+    horizons: Float[np.ndarray, " h"]
+    """s; given, a reading is judged as predicted over each, held back with all others."""
 
-    def __call__(self, rig: Rig, log: Log) -> tuple[Float[Array, " N"], Int[Array, ""]]:
-        """The losses, and how many readings were fused: a number that must not change."""
-        estimates = estimate(self.filter, rig, log)
-        losses, count = innovation_losses(estimates, log.schedule.sensor, self.tails)
-        return (losses if self.known is None else truth_losses(estimates, self.known)[0]), count
+    def __call__(
+        self, rig: Rig, log: Log, recorded: Float[Array, " T"]
+    ) -> tuple[Float[Array, " N"], Int[Array, " N"], Int[Array, ""]]:
+        """The losses, how many judgements each stands for, and how many readings were fused.
+
+        Each reading is held back once for each horizon; its losses are added up: a composite
+        likelihood, of marginal densities. ``recorded`` are the times of the events that say
+        which readings are held back together: they do not move when a latency does.
+
+        Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods",
+        Statistica Sinica 21(1), 2011.
+        """
+        if not len(self.horizons):
+            estimates = estimate(self.filter, rig, log)
+            losses, judged = innovation_losses(estimates, log.schedule.sensor, self.tails)
+            count = jnp.sum(judged)
+            if self.known is not None:
+                losses, judged = truth_losses(estimates, self.known)
+            return losses, judged.astype(int), count
+        filter, twins = with_twins(self.filter, rig)
+        tails = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), self.tails)
+
+        def over(horizon: Array, phase: Array) -> tuple[Array, Array, Array]:
+            own = held_back(log, windows(recorded, horizon, phase))
+            estimates = estimate(filter, twins, own)
+            sensor = own.schedule.sensor
+            losses, fused = innovation_losses(estimates, sensor, tails)
+            held = sensor >= len(rig.sensors)
+            return jnp.where(held, losses, 0.0), held & fused, jnp.sum(fused)
+
+        # One after the other: the program is that of one pass.
+        phases = jnp.tile(jnp.arange(2.0), len(self.horizons))
+        passes = jnp.repeat(jnp.asarray(self.horizons), 2), phases
+        losses, judged, count = jax.lax.map(lambda each: over(*each), passes)
+        return losses.sum(axis=0), judged.sum(axis=0), count.sum()

@@ -1,4 +1,4 @@
-"""Noise, scales and latencies of a rig from a log, by gradient through the filter."""
+"""Noise, scales and latencies of a rig from logs, by gradient through the filter."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -9,13 +9,12 @@ from jaxtyping import Float
 
 from kedge.core.contracts import AbstractFilter, AbstractGaussianFilter
 from kedge.core.errors import ConfigError, ContractError
-from kedge.estimation.log import Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.filters.wrappers.gated import Gated
 from kedge.filters.wrappers.wrapper import AbstractWrapper
 from kedge.tuning.curvature import Curvature, Judgement, curvature, judge, profile
-from kedge.tuning.evaluator import Evaluator
-from kedge.tuning.loss import known_truth, ungated
+from kedge.tuning.evaluator import Case, Evaluator
+from kedge.tuning.loss import ungated
 from kedge.tuning.tunable import Tunable, placed
 
 LATENCY_SPAN = 0.2  # s
@@ -71,39 +70,77 @@ class Tuned(NamedTuple):
         return placed(rig, self.chosen, jnp.asarray(self.values))
 
 
+class Fit(NamedTuple):
+    """Where a search led, without what is known of it."""
+
+    evaluator: Evaluator
+    chosen: tuple[Tunable, ...]
+    box: Float[np.ndarray, "2 p"]
+    loss_before: float
+    attempts: tuple[Attempt, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def best(self) -> Attempt:
+        """The attempt of the least loss."""
+        return min(self.attempts, key=lambda attempt: attempt.loss)
+
+    @property
+    def values(self) -> Float[np.ndarray, " p"]:
+        """The numbers that it found."""
+        return self.evaluator.values(self.best.point)
+
+
 def tune(
     filter: AbstractFilter,
-    rig: Rig,
-    recording: Recording,
+    cases: Sequence[Case],
     chosen: Sequence[Tunable],
-    truth: Truth | None = None,
-    until: float | int = np.inf,
     search: Search | None = None,
+    horizons: Sequence[float] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> Tuned:
-    r"""Find the values under which the log up to ``until`` seconds is least surprising.
+    r"""Find the values under which logs are least surprising, and judge them.
 
     Without truth the innovations are judged, with it the errors of the estimate: see
-    :func:`~kedge.tuning.loss.innovation_losses` and ``truth_losses``. A number above
+    :func:`~kedge.tuning.loss.innovation_losses` and ``truth_losses``; with ``horizons``, in s,
+    the readings as predicted over each of them
+    (:class:`~kedge.tuning.loss.Losses`). A number above
     0 is sought by its logarithm, another on its own scale, by L-BFGS within bounds from several
     starts, with derivatives carried forward through the filter.
 
     Raises:
         ContractError: the filter has no derivative in its noise, or fuses nothing.
         ConfigError: a number has no start from which it can be tuned, or bad bounds.
-        DataError: nothing of the log is left to judge.
+        DataError: nothing of the logs is there to judge, or one is too short for a horizon.
 
     Source: R. Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE
     Transactions on Automatic Control 15(2), 1970; R. Byrd, P. Lu, J. Nocedal, C. Zhu, "A
     limited memory algorithm for bound constrained optimization", SIAM Journal on Scientific
     Computing 16(5), 1995.
     """
+    return conclude(fit(filter, cases, chosen, search, horizons, progress))
+
+
+def fit(
+    filter: AbstractFilter,
+    cases: Sequence[Case],
+    chosen: Sequence[Tunable],
+    search: Search | None = None,
+    horizons: Sequence[float] = (),
+    progress: Callable[[str], None] = lambda text: None,
+) -> Fit:
+    """The search alone.
+
+    Raises:
+        KedgeError: as :func:`tune`.
+    """
     search = search or Search()
-    rig, tails, notes = ungated(rig)
+    if horizons and any(case.truth is not None for case in cases):
+        raise ConfigError("horizons: readings are judged over them, and truth is not; choose")
+    notes = ungated(cases[0].rig)[2]
     filter = _differentiable(filter, notes)
-    known = None if truth is None else known_truth(recording, truth, rig.prior.mean)
     low, high = _bounds(chosen, search)
-    evaluator = Evaluator(filter, rig, tails, recording, known, tuple(chosen), high, until)
+    evaluator = Evaluator(filter, cases, tuple(chosen), high, horizons)
     first = evaluator.coordinates([t.value for t in chosen])
     start = evaluator(first)
     evaluator.begin(start)
@@ -114,23 +151,29 @@ def tune(
     for number, begin in enumerate(_starts(evaluator, first, box, search), start=1):
         attempts.append(_descend(evaluator, begin, box, search.iterations))
         progress(f"start {number} of {search.starts}: {attempts[-1].loss:.6g} by judgement")
-    best = min(attempts, key=lambda attempt: attempt.loss)
-    point, shape = curvature(evaluator, best.point, box)
+    before = start.total / evaluator.judged
+    return Fit(evaluator, tuple(chosen), box, before, tuple(attempts), tuple(notes))
+
+
+def conclude(found: Fit) -> Tuned:
+    """The last steps to the least loss, and what the logs say of each number there."""
+    evaluator, chosen = found.evaluator, found.chosen
+    point, shape = curvature(evaluator, found.best.point, found.box)
     final = evaluator(point)
     values = evaluator.values(point)
     judgements, flat = judge(chosen, evaluator.logarithmic, values, shape)
     return Tuned(
-        chosen=tuple(chosen),
+        chosen=chosen,
         values=values,
         judgements=judgements,
         flat=flat,
-        loss_before=start.total / evaluator.judged,
+        loss_before=found.loss_before,
         loss_after=final.total / evaluator.judged,
         judged=evaluator.judged,
-        attempts=tuple(attempts),
+        attempts=found.attempts,
         curvature=shape,
-        profiles=profile(evaluator, chosen, point, shape, judgements, box),
-        notes=tuple(notes),
+        profiles=profile(evaluator, chosen, point, shape, judgements, found.box),
+        notes=found.notes,
     )
 
 
