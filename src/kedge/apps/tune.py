@@ -72,6 +72,8 @@ def execute(rig: str, logs: Sequence[str], out: Path, options: Options) -> dict[
     names = None if options.parameters is None else split_list(options.parameters)
     bounds = parse_bounds(options.bounds)
     horizons = parse_horizons(options.horizons)
+    if horizons and options.with_truth:
+        raise ConfigError("--horizons: found --with-truth as well, expected one of them")
     use_compilation_cache()
     loaded = [load_with_raw(rig, log, "auto", options.until, options.changes) for log in logs]
     problems = [problem for problem, _ in loaded]

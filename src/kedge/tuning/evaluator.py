@@ -223,7 +223,7 @@ def _evaluate(
                 mine = log.schedule.sensor == tunable.latency_of
                 time = time - jnp.where(mine, values[index] - base[index], 0.0)
         shifted = log._replace(schedule=log.schedule._replace(time=time))
-        terms, judged, fused = losses(placed(rig, places, values), shifted, recorded)
+        terms, judged, fused = losses(placed(rig, places, values), shifted)
         at = recorded if losses.known is None else recorded[losses.known.events]
         counts = (at < left_out[0]) | (at >= left_out[1])
         terms, judged = jnp.where(counts, terms, 0.0), jnp.where(counts, judged, 0)

@@ -1,5 +1,6 @@
 """What tuning makes small: how badly a filter foretold its readings, or knew its own error."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,10 +14,10 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
-from kedge.estimation.held_back import held_back, windows, with_twins
 from kedge.estimation.log import Log, Recording, Truth
-from kedge.estimation.rig import Installation, Rig
+from kedge.estimation.rig import Rig
 from kedge.evaluation.score import truth_at
+from kedge.filters.wrappers.withholding import Withholding
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.losses import TUNING, Loss
 
@@ -56,15 +57,8 @@ def ungated(rig: Rig) -> tuple[Rig, Tails, list[str]]:
             nu = float(SOFT if not student or loss.tuning is None else loss.tuning)
             if installation.robust is None or not student:
                 factor = np.array([consistent_weight(nu, d) for d in range(1, size + 1)])
-            installation = Installation(
-                installation.name,
-                installation.sensor,
-                installation.rate,
-                installation.latency,
-                None,
-                installation.mount,
-                loss,
-                np.inf,
+            installation = dataclasses.replace(
+                installation, gate=None, robust=loss, recovery=np.inf
             )
             notes.append(
                 f"{installation.name}: judged by a Student-t with {nu:g} degrees of freedom, "
@@ -169,34 +163,30 @@ class Losses(eqx.Module):
     """s; given, a reading is judged as predicted over each, held back with all others."""
 
     def __call__(
-        self, rig: Rig, log: Log, recorded: Float[Array, " T"]
+        self, rig: Rig, log: Log
     ) -> tuple[Float[Array, " N"], Int[Array, " N"], Int[Array, ""]]:
         """The losses, how many judgements each stands for, and how many readings were fused.
 
-        Each reading is held back once for each horizon; its losses are added up: a composite
-        likelihood, of marginal densities. ``recorded`` are the times of the events that say
-        which readings are held back together: they do not move when a latency does.
+        Each reading is held back once for each horizon, and its losses are added up: a
+        composite likelihood, of marginal densities.
 
         Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods",
         Statistica Sinica 21(1), 2011.
         """
+        time, sensor, _ = log.schedule
         if not len(self.horizons):
             estimates = estimate(self.filter, rig, log)
-            losses, judged = innovation_losses(estimates, log.schedule.sensor, self.tails)
+            losses, judged = innovation_losses(estimates, sensor, self.tails)
             count = jnp.sum(judged)
             if self.known is not None:
                 losses, judged = truth_losses(estimates, self.known)
             return losses, judged.astype(int), count
-        filter, twins = with_twins(self.filter, rig)
-        tails = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), self.tails)
 
         def over(horizon: Array, phase: Array) -> tuple[Array, Array, Array]:
-            own = held_back(log, windows(recorded, horizon, phase))
-            estimates = estimate(filter, twins, own)
-            sensor = own.schedule.sensor
-            losses, fused = innovation_losses(estimates, sensor, tails)
-            held = sensor >= len(rig.sensors)
-            return jnp.where(held, losses, 0.0), held & fused, jnp.sum(fused)
+            filter = Withholding(self.filter, horizon=horizon, phase=phase)
+            losses, fused = innovation_losses(estimate(filter, rig, log), sensor, self.tails)
+            held = fused & filter.holds_back(time)
+            return jnp.where(held, losses, 0.0), held, jnp.sum(fused)
 
         # One after the other: the program is that of one pass.
         phases = jnp.tile(jnp.arange(2.0), len(self.horizons))

@@ -16,6 +16,7 @@ from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ConfigError
 from kedge.core.manifolds import space
 from kedge.core.registry import unknown
+from kedge.estimation.error_states import with_error
 from kedge.estimation.rig import Rig, as_arrays
 from kedge.vehicles.augmented import Augmented
 
@@ -40,21 +41,30 @@ class Tunable(NamedTuple):
         return int(self.path[1]) if self.path[-1] == "latency" else None
 
     @property
+    def error_of(self) -> int | None:
+        """The sensor of whose error with a memory it is; None if it is something else."""
+        return int(self.path[1]) if "error" in self.path else None
+
+    @property
     def is_logarithmic(self) -> bool:
         """Whether it is tuned by its logarithm: above 0, and meant to be."""
         return self.value > 0 and self.latency_of is None and "mount" not in self.path
 
 
 def tunables(rig: Rig) -> list[Tunable]:
-    """Every number of the vehicle, its augmented states, the sensors and their mounts.
+    """Every number of the vehicle, its augmented states, the sensors, their errors and mounts.
 
     What is noise is found by asking the models: a number that changes how a step or a reading
     scatters, but not what it is without noise.
     """
     numbers = [*_of_vehicle(rig), *_of_sensors(rig)]
-    numeric = [t for t in numbers if t.latency_of is None]
+    numeric = [t for t in numbers if t.latency_of is None and t.error_of is None]
     noisy = dict(zip([t.key for t in numeric], _are_noise(rig, numeric), strict=True))
-    return [t._replace(is_noise=noisy.get(t.key, False)) for t in numbers]
+    # An error with a memory is noise by what it is, also where it is no state.
+    return [
+        t._replace(is_noise=noisy.get(t.key, t.error_of is not None and t.path[-1] == "std"))
+        for t in numbers
+    ]
 
 
 def choose(rig: Rig, names: Sequence[str] | None) -> list[Tunable]:
@@ -85,12 +95,24 @@ def choose(rig: Rig, names: Sequence[str] | None) -> list[Tunable]:
 
 def placed(rig: Rig, chosen: Sequence[Tunable], values: Float[Array, " p"]) -> Rig:
     """The rig with other values; latencies belong to logs and stay as they are."""
-    where = [(t.path, values[i]) for i, t in enumerate(chosen) if t.latency_of is None]
-    if not where:
-        return rig
-    return eqx.tree_at(
-        lambda tree: [_follow(tree, path) for path, _ in where], rig, [v for _, v in where]
-    )
+    where = [
+        (t.path, values[i])
+        for i, t in enumerate(chosen)
+        if t.latency_of is None and t.error_of is None
+    ]
+    if where:
+        rig = eqx.tree_at(
+            lambda tree: [_follow(tree, path) for path, _ in where], rig, [v for _, v in where]
+        )
+    errors: dict[int, dict[str, Any]] = {}
+    for index, tunable in enumerate(chosen):
+        if tunable.error_of is not None:
+            errors.setdefault(tunable.error_of, {})[str(tunable.path[-1])] = values[index]
+    for place, changed in errors.items():
+        error: Any = rig.sensors[place].error
+        now = {"std": error.std, "time_constant": error.time_constant} | changed
+        rig = with_error(rig, rig.sensors[place].name, **now)
+    return rig
 
 
 def _named(available: Sequence[Tunable], name: str) -> Tunable:
@@ -121,11 +143,14 @@ def _of_vehicle(rig: Rig) -> list[Tunable]:
     ]
     for name, quantity in augmented.items():
         for field, unit in (("random_walk", ""), ("time_constant", "s")):
-            value = float(getattr(quantity, field))
-            if np.isfinite(value):
+            value = getattr(quantity, field)
+            # Errors of sensors have one for each of theirs, and are tuned by the sensor.
+            if np.ndim(value) == 0 and np.isfinite(value):
                 key = f"vehicle.augmented.{name}.{field}"
                 numbers.append(
-                    Tunable(key, ("vehicle", "augmented", name, field), value, unit, False)
+                    Tunable(
+                        key, ("vehicle", "augmented", name, field), float(value), unit, False
+                    )
                 )
     return numbers
 
@@ -138,6 +163,11 @@ def _of_sensors(rig: Rig) -> list[Tunable]:
             Tunable(f"{key}.parameters.{name}", (*at, "sensor", name), value, unit, False)
             for name, value, unit in _numbers(installation.sensor)
         ]
+        for field, unit in (("std", ""), ("time_constant", "s")):
+            value = getattr(installation.error, field, None)
+            if value is not None and np.ndim(value) == 0 and np.isfinite(value):
+                path = (*at, "error", field)
+                numbers.append(Tunable(f"{key}.error.{field}", path, float(value), unit, False))
         if installation.mount is not None:
             places = [("x", "m"), ("y", "m"), ("heading", "rad")]
             if hasattr(rig.prior.mean, "attitude"):
