@@ -195,3 +195,17 @@ def test_over_horizons_the_longer_of_two_memories_is_what_counts(coverage):
     """The model has one memory where the readings have two: no numbers are right for all."""
     assert coverage["memory", 0, True] < coverage["memory", 3, True]
     assert 0.93 <= coverage["memory", 3, True] <= 0.97
+
+
+def test_few_readings_that_are_lost_on_the_way_are_charged_and_many_are_a_wall(monkeypatch):
+    rig = buoy(error=CorrelatedError(0.5, 2.0))
+    evaluate = evaluator(rig, [recorded(rig, 2, 20.0)[0]])
+    point = np.log([0.3, 0.4, 3.0])
+    start = evaluate(point)
+    evaluate.begin(start)
+    monkeypatch.setattr(evaluate, "fused", start.fused + 1)
+    monkeypatch.setattr(evaluate, "judged", start.judged + 1)
+    assert evaluate(point).total == pytest.approx(start.total + 10.0, rel=1e-12)
+    assert np.abs(evaluate(point).gradient).max() > 0
+    monkeypatch.setattr(evaluate, "fused", round(1.05 * start.fused))
+    assert evaluate(point).total == evaluate.ceiling

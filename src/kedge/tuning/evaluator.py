@@ -21,6 +21,9 @@ BLOCKS = 30
 """Stretches of the log over which scores are summed: what is correlated lies within one."""
 WORST = 1e6
 """Loss by judgement, beyond that of the start, of what cannot be judged."""
+FEW, LOST = 0.01, 10.0
+"""The share of the readings fused that may change, and the loss of one that no longer is: that
+of a reading 4.5 standard deviations away."""
 
 
 class Evaluation(NamedTuple):
@@ -111,7 +114,10 @@ class Evaluator:
         )
 
     def __call__(self, point: Float[np.ndarray, " p"]) -> Evaluation:
-        """Loss and gradient; the ceiling, level, where other readings are fused."""
+        """Loss and gradient; the ceiling, level, where many other readings are fused.
+
+        A sensor may call a reading impossible by what is believed: a few such are charged.
+        """
         values = self.values(point)
         parts = [
             _evaluate(
@@ -135,11 +141,15 @@ class Evaluator:
             int(fused),
             int(judged),
         )
+        if self.fused < 0:
+            return evaluation
         good = np.isfinite(total) and np.isfinite(gradient).all()
-        if self.fused >= 0 and not (good and int(fused) == self.fused):
-            nothing = np.zeros_like(evaluation.gradient)
-            return evaluation._replace(total=self.ceiling, gradient=nothing)
-        return evaluation
+        changed = abs(int(fused) - self.fused)
+        if good and changed <= FEW * self.fused:
+            lost = self.judged - evaluation.judged
+            return evaluation._replace(total=evaluation.total + LOST * lost)
+        nothing = np.zeros_like(evaluation.gradient)
+        return evaluation._replace(total=self.ceiling, gradient=nothing)
 
     def _at(self, values: Float[np.ndarray, " p"], number: int) -> tuple[Log, Losses]:
         """A log in the order that these latencies give it, and its losses."""

@@ -188,8 +188,8 @@ class Losses(eqx.Module):
             held = fused & filter.holds_back(time)
             return jnp.where(held, losses, 0.0), held, jnp.sum(fused)
 
-        # One after the other: the program is that of one pass.
+        # The passes share the schedule, so that each sensor stays a branch.
         phases = jnp.tile(jnp.arange(2.0), len(self.horizons))
         passes = jnp.repeat(jnp.asarray(self.horizons), 2), phases
-        losses, judged, count = jax.lax.map(lambda each: over(*each), passes)
+        losses, judged, count = jax.vmap(over)(*passes)
         return losses.sum(axis=0), judged.sum(axis=0), count.sum()

@@ -186,20 +186,24 @@ def _descend(
     from scipy.optimize import minimize
 
     evaluations = 0
+    least, best = np.inf, begin
 
     def by_judgement(point: np.ndarray) -> tuple[float, np.ndarray]:
-        nonlocal evaluations
+        nonlocal evaluations, least, best
         evaluations += 1
         minimum = evaluator(point)
+        if minimum.total < least:
+            least, best = minimum.total, point.copy()
         return minimum.total / evaluator.judged, minimum.gradient / evaluator.judged
 
     if by_judgement(begin)[0] * evaluator.judged >= evaluator.ceiling:
         return Attempt(np.inf, begin, evaluations)
-    minimum = minimize(
+    minimize(
         by_judgement, begin, jac=True, method="L-BFGS-B", bounds=box.T,
         options={"maxiter": iterations, "ftol": 1e-12, "gtol": 1e-6 / evaluator.judged},
     )  # fmt: skip
-    return Attempt(float(minimum.fun), np.asarray(minimum.x), evaluations)
+    # A search that runs into a wall may stop on the wrong side of it.
+    return Attempt(least / evaluator.judged, best, evaluations)
 
 
 def _starts(
