@@ -12,6 +12,7 @@ def test_a_rig_that_claims_too_much_is_marked(data, monkeypatch, capsys):
 
     arguments = ["honesty.py", "hanyang", "--until", "20"]
     claims = ["--set", "sensors.radio.parameters.range_std=0.002"]
+    claims += ["--set", "sensors.radio.error={ std = 0.001, time_constant = 1.0 }"]
     tables = []
     for more in ([], claims):
         monkeypatch.setattr(sys, "argv", arguments + more)

@@ -37,6 +37,7 @@ from kedge.datasets.fetch import log_of
 from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
 from kedge.estimation.rig import Rig, check_step
+from kedge.evaluation.glitches import LONGEST, without_glitches
 from kedge.formats.attitudes import require_rotations
 from kedge.formats.logs import RawLog, digest_inputs
 from kedge.formats.readers import read_log
@@ -181,12 +182,20 @@ def fitted(
     rate = f"output.rate = {config.output.rate:g} Hz"
     check_step(vehicle, longest, f"{config.origin}: the longest step between events ({rate})")
     notes += sentences(clipped(recording, vehicle))
+    true, wrong = None, 0
+    if reference is not None:
+        true, wrong = without_glitches(_truth(config, reference, bare, start, end))
+    if wrong:
+        notes.append(
+            f"truth: {wrong} samples jump away and back (glitches of at most {LONGEST:g} s); "
+            "they are left out of scores"
+        )
     return Problem(
         title=raw.title or config.title,
         config=config.model_dump(mode="json", exclude_none=True),
         rig=built,
         recording=recording,
-        truth=None if reference is None else _truth(config, reference, bare, start, end),
+        truth=true,
         filter=config.filter.name,
         sources=sources,
         target_names={
