@@ -187,6 +187,7 @@ def test_windows_are_scored_as_the_whole_is(pooled, results):
     for key in ("rmse", "rmse_ci", "nees", "nees_ci", "within_3_sigma", "coverage_95"):
         assert found["else"][key] == whole[key], key
     assert found["early"]["nees"] != whole["nees"]
+    assert found["early"]["seconds_per_run"] == pytest.approx(whole["seconds_per_run"] / 5)
     np.testing.assert_allclose(
         4 * found["early"]["nees"] + 16 * found["else"]["nees"], 20 * whole["all_steps"]["nees"]
     )

@@ -4,12 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from kedge.config.scenarios import ClaimConfig
 from kedge.core.beliefs import Gaussian
 from kedge.core.conditions import Comparison, Term, parse_condition, parse_term
 from kedge.core.errors import ConfigError
 from kedge.estimation.rig import Rig
 from kedge.simulation.scenario import Scenario
-from kedge.studies.claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band
+from kedge.studies.claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band, judge_claim
 from kedge.studies.scores import Result, RunScores, TimeSums
 from kedge.studies.study import Study
 from kedge.studies.summary import summarise_study
@@ -119,3 +120,21 @@ def test_bands(evidence):
     assert judge_band("kalman.score", [(value + high) / 2, 2.0], evidence).verdict == OPEN
     assert judge_band("kalman.score", [1.1 * high, 2 * high], evidence).verdict == FALSE
     assert judge_band("kalman.score", [0.0, 0.9 * low], evidence).verdict == FALSE
+
+
+def test_a_claim_is_judged_under_its_own_settings(evidence):
+    """Elsewhere it is not tested; what it means stands under no verdict but its own."""
+    loop = {"scenario.feedback": "none"}
+    claim = ClaimConfig(
+        text="Worse.", source="s", test="other:a=1.05.score > kalman.score", under=loop,
+        outcome="true", means="By a twentieth.",
+    )  # fmt: skip
+    judged = judge_claim(claim, evidence, {"scenario": {"feedback": "none"}})
+    assert (judged.verdict, judged.means) == (TRUE, "By a twentieth.")
+    steered = judge_claim(claim, evidence, {"scenario": {"feedback": "filter"}})
+    assert (steered.verdict, steered.means) == (OPEN, "")
+    assert "not tested here: scenario.feedback is 'filter'" in steered.figures
+    other = claim.model_copy(update={"outcome": "false"})
+    assert judge_claim(other, evidence, {"scenario": {"feedback": "none"}}).means == ""
+    with pytest.raises(ConfigError, match=r"under: found 'scenario.feedback'"):
+        judge_claim(claim, evidence, {})

@@ -17,7 +17,7 @@ from kedge.formats.results import as_toml, digest, plain, write_csv, write_summa
 from kedge.reports import study_findings as findings
 from kedge.reports.findings import said
 from kedge.reports.study_report import StudyContent
-from kedge.studies.claims import FALSE, OPEN, TRUE, Evidence, judge, judge_band, look_up
+from kedge.studies.claims import FALSE, OPEN, TRUE, Evidence, judge_band, judge_claim, look_up
 from kedge.studies.figures_of_merit import (
     ExpectedFigure,
     Headline,
@@ -112,6 +112,7 @@ class Verdicts(TypedDict):
 
 def _judged(setting: Setting, evidence: Evidence) -> Verdicts:
     config = setting.config
+    configuration = config.model_dump(mode="json")
     return Verdicts(
         quoted=tuple(
             QuotedFigure(
@@ -126,10 +127,7 @@ def _judged(setting: Setting, evidence: Evidence) -> Verdicts:
             )
             for band in config.expected
         ),
-        claims=tuple(
-            JudgedClaim(**claim.model_dump(), **judge(claim.test, evidence)._asdict())
-            for claim in config.claims
-        ),
+        claims=tuple(judge_claim(claim, evidence, configuration) for claim in config.claims),
         errata=tuple(config.errata),
     )
 

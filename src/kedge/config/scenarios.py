@@ -152,6 +152,10 @@ class ClaimConfig(Strict):
     test: str = ""
     means: str = ""
     """What the test measures, and what follows from its outcome."""
+    outcome: Literal["", "true", "false"] = ""
+    """The only verdict under which ``means`` is right, if it speaks of one."""
+    under: dict[str, Parameter] = {}
+    """Settings that the claim is about, by dotted key: under others it is not judged."""
 
     def validation_errors(self) -> Iterator[str]:
         """A test that cannot be understood."""

@@ -3,12 +3,13 @@
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kedge.core.conditions import Comparison, Term, parse_condition, parse_term
+from kedge.core.errors import ConfigError
 from kedge.evaluation.record import by_name
 from kedge.evaluation.scores import Score
-from kedge.studies.figures_of_merit import StudyScores
+from kedge.studies.figures_of_merit import JudgedClaim, StudyScores
 from kedge.studies.scores import Result
 from kedge.studies.study import Study
 from kedge.studies.summary import compare
@@ -54,6 +55,31 @@ def judge(condition: str, evidence: Evidence) -> Judgement:
     verdicts = [part.verdict for part in parts]
     whole = FALSE if FALSE in verdicts else OPEN if OPEN in verdicts else TRUE
     return Judgement(whole, "; ".join(part.figures for part in parts))
+
+
+def judge_claim(
+    claim: Any, evidence: Evidence, configuration: Mapping[str, Any]
+) -> JudgedClaim:
+    """Judge a claim, unless the study is under other settings than it is about.
+
+    What it ``means`` is kept under the verdict that it speaks of, and none other.
+
+    Raises:
+        ConfigError: its test or a setting cannot be understood.
+    """
+    judgement, means = judge(claim.test, evidence), claim.means
+    for key, wanted in claim.under.items():
+        value: Any = configuration
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        if value is None:
+            raise ConfigError(f"claims: under: found {key!r}, expected a key of the scenario")
+        if value != wanted:
+            why = f"not tested here: {key} is {value!r}, and the claim is about {wanted!r}"
+            judgement, means = Judgement(OPEN, why), ""
+    if claim.outcome not in ("", judgement.verdict):
+        means = ""
+    return JudgedClaim(claim.text, claim.source, claim.test, means, *judgement)
 
 
 def look_up(score: str, evidence: Evidence) -> Score | None:

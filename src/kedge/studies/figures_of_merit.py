@@ -32,6 +32,8 @@ class WindowScores:
     """Of errors to those of the baseline over the same runs, by bootstrap over the runs."""
     nis_per_dof: float | None = None
     """Of all sensors together."""
+    seconds_per_run: float | None = None
+    """Of a window: its share of the events that are scored, times the time of a whole run."""
 
 
 @dataclass(frozen=True)

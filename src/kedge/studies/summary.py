@@ -204,6 +204,7 @@ def windows(study: Study, result: Result) -> dict[str, WindowScores]:
         scores[name] = replace(
             _window(study, result.windows[name], good),
             nis_per_dof=nis / freedom if freedom else math.nan,
+            seconds_per_run=result.seconds / len(good) * float(window.events.mean()),
         )
     return scores
 

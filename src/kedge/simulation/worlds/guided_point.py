@@ -23,7 +23,7 @@ class GuidedPoint(AbstractWorld):
     standard normal and drawn anew at each step. Without noise the point is on its route.
     Filters are told of no control.
 
-    Source: Oktafianto et al., "Trajectory Estimation of Automated Guided Vehicle Based
+    Source: K. Oktafianto et al., "Trajectory Estimation of Automated Guided Vehicle Based
     on Linear Modelling Using Ensemble Kalman Filter": the rectangle; the guidance is kedge's,
     as the article says nothing of one, and constant velocity alone cannot turn.
     """
