@@ -76,6 +76,17 @@ def test_values_that_are_worse_than_the_rigs_are_said_to_be():
     assert "keep the rig's" in verdict.sentence
 
 
+@pytest.mark.parametrize(
+    ("certainty", "status"),
+    [(None, "holds"), (1.5, "holds"), (1.7, "too sure"), (np.nan, "too sure")],
+)
+def test_readings_foretold_are_not_enough_where_the_truth_is_missed(certainty, status):
+    part = LeftOut(np.ones(2), 10, 5.0, 1.0, 1.01)
+    verdict = generalisation([part, part], choose(buoy(), None), "logs", certainty)
+    assert verdict.status == status
+    assert verdict.sentence.startswith(status)
+
+
 def test_parts_count_by_their_judgements():
     chosen = choose(buoy(), None)
     parts = [LeftOut(np.ones(2), 1, 5.0, 1.0, 2.0), LeftOut(np.ones(2), 3, 1.0, 1.0, 1.0)]

@@ -103,14 +103,12 @@ def execute(rig: str, logs: Sequence[str], out: Path, options: Options) -> dict[
         tuned = conclude(whole)
         after = [rigged(tuned.values, number) for number in range(len(logs))]
         spans = parts.spans_of(problems, options.blocks, share)
-        generalises, without = None, []
+        without = []
         if leaves_out:
             left = parts.without_each(cases, spans)
             without = leave_one_out(
                 filter, left, whole, tuned.values, search, horizons, progress
             )
-            what = "blocks" if options.blocks else "logs"
-            generalises = generalisation(without, chosen, what)
         progress("scores")
         scored = {
             "start": [problems[span.log] for span in spans],
@@ -131,18 +129,18 @@ def execute(rig: str, logs: Sequence[str], out: Path, options: Options) -> dict[
         until = None if leaves_out or len(logs) > 1 else spans[0].end
         summary = summarise(problems, tuned, options, spec, until, scores)
         summary |= {"horizons": list(horizons), "logs": dict(parts.named(logs))}
-        if generalises is not None:
-            summary["generalisation"] = generalises._asdict() | {
+        if leaves_out:
+            what = "blocks" if options.blocks else "logs"
+            verdict = generalisation(without, chosen, what, parts.certainty(scores["left_out"]))
+            values = [[float(value) for value in part.values] for part in without]
+            summary["generalisation"] = verdict._asdict() | {
                 "parts": {
-                    span.name: {
-                        t.key: float(value)
-                        for t, value in zip(chosen, part.values, strict=True)
-                    }
-                    for span, part in zip(spans, without, strict=True)
+                    span.name: dict(zip([t.key for t in chosen], each, strict=True))
+                    for span, each in zip(spans, values, strict=True)
                 }
             }
-            if generalises.status != "holds":
-                summary["warnings"].append(generalises.sentence)
+            if verdict.status != "holds":
+                summary["warnings"].append(verdict.sentence)
         for warning in summary["warnings"]:
             print(f"warning: {warning}", file=sys.stderr)
         write_summary(folder / "tune.json", summary)

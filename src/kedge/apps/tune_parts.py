@@ -145,6 +145,12 @@ def scores_of(
     }
 
 
+def certainty(scores: Mapping[str, Mapping[str, Any]]) -> float | None:
+    """Mean NEES of parts by its expectation; None where there is no truth."""
+    ratios = [part["nees"] / part["nees_dof"] for part in scores.values() if "nees" in part]
+    return float(np.mean(ratios)) if ratios else None
+
+
 def named(logs: Sequence[str]) -> Iterator[tuple[str, str]]:
     """The logs by the names of their parts."""
     for number, log in enumerate(logs, start=1):

@@ -14,6 +14,8 @@ from kedge.tuning.tuning import Fit, Search, fit
 
 COSTLY = 0.1
 """Nats by judgement: what a deviation a third too small costs a reading of one component."""
+TOO_SURE = 1.6
+"""NEES by its expectation, above which a filter is more certain than it may be."""
 
 
 class LeftOut(NamedTuple):
@@ -34,7 +36,7 @@ class Generalisation(NamedTuple):
     """What tuning is worth where it was not tuned."""
 
     status: str
-    """``holds``, ``over-fit`` or ``worse``."""
+    """``holds``, ``too sure``, ``over-fit`` or ``worse``."""
     sentence: str
     start: float
     tuned_on: float
@@ -80,9 +82,16 @@ def leave_one_out(
 
 
 def generalisation(
-    parts: Sequence[LeftOut], chosen: Sequence[Tunable], what: str
+    parts: Sequence[LeftOut],
+    chosen: Sequence[Tunable],
+    what: str,
+    certainty: float | None = None,
 ) -> Generalisation:
-    """The verdict: ``what`` are the parts, such as logs."""
+    """The verdict: ``what`` are the parts, such as logs.
+
+    ``certainty`` is the mean NEES of the parts left out by its expectation, where truth is
+    known: readings may be foretold as well elsewhere, and the truth may still be missed.
+    """
     weights = np.array([part.judged for part in parts], float)
     losses = np.array([part[2:] for part in parts])
     start, tuned_on, left_out = np.average(losses, axis=0, weights=weights).tolist()
@@ -101,6 +110,15 @@ def generalisation(
             "over-fit",
             f"over-fit: {given} cost {gap:.2g} by judgement more on those left out than where "
             "they were tuned; tune fewer numbers, or on more",
+            start, tuned_on, left_out,
+        )  # fmt: skip
+    if certainty is not None and not certainty <= TOO_SURE:
+        return Generalisation(
+            "too sure",
+            f"too sure: {given} foretell the readings left out as well, but not the truth: "
+            f"NEES is {certainty:.2g} times what it should be; the errors of readings are "
+            "correlated or the model lacks something: give the sensor an error with a memory "
+            "and use --horizons, or judge --with-truth",
             start, tuned_on, left_out,
         )  # fmt: skip
     return Generalisation(
