@@ -359,3 +359,19 @@ def test_single_precision_stays_single(key):
         after, score = jax.eval_shape(run)
         kinds = {leaf.dtype for leaf in jax.tree.leaves((after, score.cov))}
         assert kinds == {jnp.dtype("float32")}
+
+
+@pytest.mark.parametrize("filter", [BootstrapParticle(count=300), GuidedParticle(count=300)])
+def test_a_cloud_in_one_place_is_widened_and_counted(filter, key):
+    """A reading of a hundredth of the prior's spread: few particles are near it."""
+    prior = Gaussian(State(jnp.zeros(2), jnp.array(0.0)), jnp.diag(jnp.array([1.0, 1.0, 0.1])))
+    belief = filter.init(prior, key)
+    sharp, vague = (
+        filter.update(Gnss(std=std), belief, Fix(jnp.array([0.4, 0.2])), key)
+        for std in (0.01, 1.0)
+    )
+    assert sharp[1].repairs == 1
+    assert vague[1].repairs == 0
+    cov = sharp[0].moments().cov
+    assert np.linalg.eigvalsh(cov).min() > 1e-4
+    assert np.abs(sharp[0].moments().mean.position - jnp.array([0.4, 0.2])).max() < 1.0

@@ -60,7 +60,13 @@ def concerns(name: str, scores: HealthScores, verdicts: Mapping[str, int]) -> li
     ``verdicts`` counts those of all readings.
     """
     warnings = []
-    if scores.repairs:
+    if scores.repairs and scores.effective_size is not None:
+        warnings.append(
+            f"{name}: at {scores.repairs} readings the particles were resampled into so few "
+            "places that their covariance was singular; they were widened. More particles, or "
+            "more noise, would have kept them apart."
+        )
+    elif scores.repairs:
         warnings.append(
             f"{name}: a covariance had to be repaired {scores.repairs} times; it was not "
             "positive semi-definite. A square-root filter cannot lose it."

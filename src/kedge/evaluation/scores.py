@@ -121,7 +121,8 @@ class HealthScores:
     """What a filter had to do to keep its belief usable."""
 
     repairs: int
-    """Covariances that were not positive semi-definite and had to be projected."""
+    """Covariances that were not positive semi-definite and had to be projected, and clouds of
+    particles that stood in too few places and had to be widened."""
     recoveries: int
     """How often the gates were opened after they refused everything."""
     smallest_eigenvalue: float | None = None

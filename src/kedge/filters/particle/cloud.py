@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jax import lax
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from kedge.core.beliefs import Gaussian, LastStep, Particles
 from kedge.core.contracts import (
@@ -62,6 +62,8 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
 
     * ``resampling``: systematic, stratified, residual or multinomial, where the effective size
       falls below ``threshold`` of the count.
+    * A cloud that is resampled into so few places that its covariance is singular is widened by
+      a kernel of the predicted one; the innovation counts that as a repair.
     * ``regularisation``: after resampling each particle is drawn again from a Gaussian kernel,
       in the tangent space, whose standard deviation is this factor times Silverman's bandwidth
       times the cloud's. 0 leaves the copies as they are, which is unbiased; up to 1 keeps a
@@ -150,6 +152,7 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
     ) -> tuple[Particles, Innovation]:
         """Weigh the particles; resample if few carry the weight."""
         weigh_key, resample_key, smear_key, seek_key = jr.split(key, 4)
+        widen_key = jr.fold_in(resample_key, 1)
         sight = look(model, belief.states, measurement)
 
         def usual() -> tuple[Weighed, Float[Array, ""]]:
@@ -172,11 +175,12 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
         explained = jnp.isfinite(evidence)
 
         few = (size < self.threshold * self.count) & weighed.may_resample & explained
-        states, log_weights = lax.cond(
+        states, log_weights, places = lax.cond(
             few,
             lambda: self._resample(weighed.states, log_weights, resample_key),
-            lambda: (weighed.states, log_weights),
+            lambda: (weighed.states, log_weights, jnp.asarray(self.count)),
         )
+        states, widened = self._widen(states, belief, places, widen_key)
         resampled = few | (weighed.resampled & explained)
         states = self._regularise(states, log_weights, resampled, smear_key)
 
@@ -192,15 +196,34 @@ class AbstractParticleFilter(AbstractFilter[Particles]):
             accepted=explained,
             effective_size=jnp.minimum(size, self.count),
             resampled=resampled,
+            repairs=jnp.where(widened, 1, 0),
         )
         return kept, score
 
     def _resample(
         self, states: Any, log_weights: Float[Array, " N"], key: PRNGKeyArray
-    ) -> tuple[Any, Float[Array, " N"]]:
+    ) -> tuple[Any, Float[Array, " N"], Int[Array, ""]]:
+        """The chosen ones, their weights, and how many different ones they are."""
         chosen = SCHEMES[self.resampling](key, log_weights)
-        return jax.tree.map(lambda leaf: leaf[chosen], states), _equal(
-            self.count, log_weights.dtype
+        places = jnp.zeros(self.count, int).at[chosen].set(1).sum()
+        weights = _equal(self.count, log_weights.dtype)
+        return jax.tree.map(lambda leaf: leaf[chosen], states), weights, places
+
+    def _widen(
+        self, states: Any, belief: Particles, places: Int[Array, ""], key: PRNGKeyArray
+    ) -> tuple[Any, Bool[Array, ""]]:
+        """The cloud with the kernels of the predicted one, if it stands in too few places.
+
+        n + 1 of them are needed to span n dimensions: of fewer the covariance is singular, and
+        the cloud would be sure of what it only cannot resolve.
+        """
+        size = space(states).size
+        collapsed = places <= min(size, self.count - 1)
+        width = bandwidth(size, self.count)
+        return whenever(
+            collapsed,
+            lambda: (roughened(key, states, belief.moments(), width), jnp.asarray(True)),
+            lambda: (states, jnp.asarray(False)),
         )
 
     def _regularise(
