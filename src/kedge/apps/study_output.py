@@ -57,6 +57,7 @@ def content_of(study: Study, tally: Tally, summary: StudySummary) -> StudyConten
         as_toml(shown),
         facts_of(summary.about),
         configuration["scenario"]["featured"],
+        configuration["scenario"]["panels"],
     )
 
 

@@ -72,6 +72,8 @@ class RunsConfig(Strict):
     filters: Annotated[list[str], Field(min_length=1)]
     names: dict[str, str] = {}
     featured: list[str] = []
+    panels: list[str] = []
+    """Filters whose first run is drawn by itself: x and y over time, and in plan."""
 
     def validation_errors(self) -> Iterator[str]:
         """Times that do not go together, filters that cannot be built."""
@@ -90,6 +92,8 @@ class RunsConfig(Strict):
         yield from self.naming_errors("filters", self.filters)
         if strange := [name for name in self.featured if name not in self.filters]:
             yield f"featured: found {strange}, expected some of the filters, {self.filters}"
+        if strange := [name for name in self.panels if name not in self.filters]:
+            yield f"panels: found {strange}, expected some of the filters, {self.filters}"
         for name, spec in self.names.items():
             yield from filter_errors(f"names.{name}", [spec])
         if self.feedback not in FEEDBACKS:

@@ -16,6 +16,7 @@ HEADS = (
     "all_steps",
     "by_time",
     "coverage_95",
+    "dominated_by",
     "failed",
     "nees",
     "nis",

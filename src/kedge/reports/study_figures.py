@@ -102,7 +102,7 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
     if known and max(known) > 5 * min(known):
         ax.set_xscale("log")
         ax.set_xlim(left=max(ax.get_xlim()[0], min(known) / 2))
-        _marks(ax.xaxis, ax.get_xlim())
+        decade_marks(ax.xaxis, ax.get_xlim())
     elif not known or max(known) > 1.3 * min(known):
         ax.set_xlim(left=0)
 
@@ -226,10 +226,10 @@ def _finish(row: Any, end: float) -> None:
         ax.set_xlim(0, end)
         if high > 4 * low:
             logarithmic(ax)
-            _marks(ax.yaxis, ax.get_ylim())
+            decade_marks(ax.yaxis, ax.get_ylim())
 
 
-def _marks(axis: Any, ends: tuple[float, float]) -> None:
+def decade_marks(axis: Any, ends: tuple[float, float]) -> None:
     """Label 1, 2 and 5 of each decade where there are few decades."""
     axis.set_major_formatter(lambda value, _: style.number(value, 1))
     axis.set_minor_locator(style.studio("matplotlib.ticker").NullLocator())

@@ -1,5 +1,6 @@
 """The report of a study: its scores, figures, claims and where they come from, as one page."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,12 +15,14 @@ from kedge.reports import study_tables as tables
 from kedge.reports import style
 from kedge.reports.maps import strays, target_map
 from kedge.reports.page import Front, Plate, write_page
+from kedge.reports.study_cost import plot_cost
 from kedge.reports.study_curves import nis_curve
 from kedge.reports.study_lines import featured, series, study_looks
 from kedge.reports.study_tracks import (
     Seen,
     Track,
     plot_component,
+    plot_panels,
     plot_plan,
     plot_profile,
     shown_span,
@@ -46,6 +49,8 @@ class StudyContent(NamedTuple):
     """Versions, seed, digest, command."""
     featured: Sequence[str] = ()
     """The filters whose tracks are shown, if the scenario names any."""
+    panels: Sequence[str] = ()
+    """The filters whose first run is drawn by itself."""
 
 
 def write_study_report(folder: Path, content: StudyContent) -> Path:
@@ -87,7 +92,7 @@ def write_study_report(folder: Path, content: StudyContent) -> Path:
 
 def study_plates(content: StudyContent) -> Iterator[Plate]:
     """The figures that this study has something to show in, drawn one by one."""
-    yield _scores(content)
+    yield from _scores(content)
     yield from _tracking(content)
     yield from _tracks(content)
     yield from _over_time(content)
@@ -103,19 +108,26 @@ def study_plates(content: StudyContent) -> Iterator[Plate]:
         yield Plate("members", "members", caption, axes.figure)
 
 
-def _scores(content: StudyContent) -> Plate:
+def _scores(content: StudyContent) -> Iterator[Plate]:
     filters = content.summary.filters
     factor, unit = _unit(content)
     of = content.summary.score.of
     what = "time mean of the rms error" if of == "time-mean-rms" else f"{style.words(of)} RMSE"
-    axes = figures.plot_scores(filters, f"{what} ({unit or '–'})", factor)
+    label = f"{what} ({unit or '–'})"
+    axes = figures.plot_scores(filters, label, factor)
     caption = "Every filter's score over the same runs"
     caption += f", after the first {content.study.burn_in:g}\u00a0s" * bool(
         content.study.burn_in
     )
     if any(row.published for row in filters.values()):
         caption += "; diamonds: as published, by the sources below"
-    return Plate("scores", "scores", f"{caption}.", axes.figure)
+    yield Plate("scores", "scores", f"{caption}.", axes.figure)
+    if sum(row.score.value > 0 and row.seconds_per_run > 0 for row in filters.values()) > 1:
+        caption = (
+            "Accuracy against cost: every filter's score and its time for one run. Full dots, "
+            "joined: no other filter is both more accurate and faster."
+        )
+        yield Plate("cost", "scores", caption, plot_cost(filters, label, factor).figure)
 
 
 def _tracking(content: StudyContent) -> Iterator[Plate]:
@@ -135,8 +147,8 @@ def _tracking(content: StudyContent) -> Iterator[Plate]:
     yield Plate("tracking", "scores", caption, axes[0].figure)
 
 
-def tracks(content: StudyContent) -> list[Track]:
-    """The first run by field, with the filters that stand for the others."""
+def tracks(content: StudyContent, wanted: Sequence[str] = ()) -> list[Track]:
+    """The first run by field, with the filters that stand for the others, or those wanted."""
     plan, states, listed = content.study.plan, _states(content), []
     examples = {name: result.example for name, result in content.results.items()}
     whole = {
@@ -146,7 +158,7 @@ def tracks(content: StudyContent) -> list[Track]:
     }
     if not whole or not content.truth:
         return []
-    names = featured(whole, content.featured)
+    names = featured(whole, wanted or content.featured)
     loops = content.study.scenario.each_in_its_loop
     for (field, cut), chart in zip(states.slices().items(), states.charts, strict=True):
         if chart.shape != chart.tangent_shape or field not in content.truth:
@@ -195,6 +207,7 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
         if where.truth.shape[1] == 3 and np.ptp(where.truth[:, 2]) > 0:
             caption = "The first run from the side: height over the way covered in plan."
             yield Plate("profile", "track", caption, plot_profile(where).figure)
+    yield from _panels(content)
     shown = 0
     first = content.summary.score.of
     ordered = sorted(listed, key=lambda track: (track.name != first, not track.seen))
@@ -214,6 +227,18 @@ def _tracks(content: StudyContent) -> Iterator[Plate]:
             name = f"{track.name}-{'xyz'[index]}" if cut.stop - cut.start > 1 else track.name
             yield Plate(name, "track", caption, axes[0].figure, shown >= 2)
             shown += 1
+
+
+def _panels(content: StudyContent) -> Iterator[Plate]:
+    """Each filter that the scenario names for it, by itself."""
+    for track in tracks(content, content.panels) if content.panels else ():
+        if track.name != "position" or track.driven:
+            continue
+        for name in track.estimates:
+            if name in content.panels:
+                caption = f"The first run of {name}: x and y over time, and in plan, to scale."
+                file = "panels-" + re.sub(r"\W+", "-", name)
+                yield Plate(file, "track", caption, plot_panels(track, name)[0].figure)
 
 
 def _over_time(content: StudyContent) -> Iterator[Plate]:

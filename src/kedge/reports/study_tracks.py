@@ -121,6 +121,35 @@ def plot_plan(track: Track, targets: Targets) -> Axes:
 
 
 @style.styled
+def plot_panels(track: Track, name: str) -> Any:
+    """Draw one filter's first run in three panels: x over time, y over time, in plan."""
+    axes = style.subplots(1, 3, 3.2)[0]
+    estimate, time = track.estimates[name], track.time
+    for index, ax in enumerate(axes[:2]):
+        paths = (
+            [(s.time, s.values[:, index]) for s in track.seen],
+            (time, track.truth[:, index]),
+        )
+        _panel(ax, *paths, (time, estimate[:, index]))
+        ax.set(xlabel="time (s)", ylabel=f"{'xy'[index]} ({track.unit})", xlim=(0, time[-1]))
+    plan = [(s.values[:, 0], s.values[:, 1]) for s in track.seen]
+    _panel(axes[2], plan, track.truth.T[:2], estimate.T[:2])
+    axes[2].set(xlabel=f"x ({track.unit})", ylabel=f"y ({track.unit})", aspect="equal")
+    legend(axes[0], 3, 1.4)
+    return axes
+
+
+def _panel(ax: Axes, seen: Sequence[Any], truth: Any, estimate: Any) -> None:
+    """Readings below, the truth over them, and the estimate on top, thin enough for both."""
+    for number, (x, y) in enumerate(seen):
+        x, y = _thinned(x, y)
+        ax.plot(x, y, ".", color=style.color("target"), ms=2, alpha=0.35, mew=0)
+        ax.lines[-1].set_label(None if number else "readings")
+    ax.plot(*truth, color=style.color("ink"), lw=1.8, label="truth")
+    ax.plot(*estimate, color=style.color("gated"), lw=0.8, label="estimate")
+
+
+@style.styled
 def plot_profile(track: Track) -> Axes:
     """Draw the first run from the side: height over the way that was covered in plan.
 

@@ -82,6 +82,8 @@ class StudyScores:
     """The filter that the others are compared with."""
     ratio_to_baseline: Score
     by_time: MeansOverTime
+    dominated_by: int = 0
+    """How many filters of the study are at least as accurate and as fast, and not equal."""
     windows: Mapping[str, WindowScores] = field(default_factory=dict)
     """By the scenario's named stretches of time."""
     published: PublishedScore | None = None

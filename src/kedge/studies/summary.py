@@ -34,8 +34,14 @@ class Curves(NamedTuple):
 def summarise_study(study: Study, results: Mapping[str, Result]) -> dict[str, StudyScores]:
     """The scores of all filters, with ratios to the baseline."""
     base = baseline(list(results))
-    return {
+    scores = {
         name: summarise(study, result, results[base], base) for name, result in results.items()
+    }
+    worth = np.array([(row.score.value, row.seconds_per_run) for row in scores.values()])
+    better = (worth[:, None] <= worth).all(axis=2) & (worth[:, None] < worth).any(axis=2)
+    return {
+        name: replace(row, dominated_by=int(count))
+        for (name, row), count in zip(scores.items(), better.sum(axis=0), strict=True)
     }
 
 
