@@ -14,6 +14,7 @@ from kedge.config.scenarios import load_scenario
 from kedge.core.errors import KedgeError
 from kedge.reports import style
 from kedge.reports.page import require_studio
+from kedge.reports.study_cost import plot_cost
 from kedge.reports.study_curves import BINS, coarse, nis_curve
 from kedge.reports.study_lines import (
     featured,
@@ -39,6 +40,7 @@ BUOY = 'errata = ["Table 4 <is> wrong"]\n' + buoy_text(
     burn_in=2.0,
     filters=["kalman", "extended", "dead-reckoning", "ensemble:count=8", "ensemble:count=16"],
     featured=["ensemble:count=8", "kalman"],
+    panels=["ensemble:count=16"],
     sensor='model = "position-velocity"\nrate = 2.0',
     after="""
 [published."ensemble:count=16"]
@@ -145,13 +147,33 @@ def test_figures_lie_beside_it(written):
     names = {path.stem for path in (written.parent / "figures").glob("*.svg")}
     assert names == {path.stem for path in (written.parent / "figures").glob("*.png")}
     assert names == {"scores", "map", "position-x", "position-y", "error-over-time", "nees",
-                     "nis", "members"}  # fmt: skip
+                     "nis", "members", "cost", "panels-ensemble-count-16"}  # fmt: skip
 
 
 def test_filters_that_agree_are_drawn_as_one(written):
     text = (written.parent / "figures" / "error-over-time.svg").read_text()
     assert "kalman = extended" in text
     assert "ensemble:count=16" in text
+
+
+def test_filters_that_are_beaten_in_both_are_off_the_front(buoy):
+    """Their seconds rise in order here; extended is as accurate as kalman, which is faster."""
+    filters = buoy.summary.filters
+    for name, row in filters.items():
+        worse = [
+            other
+            for other in filters.values()
+            if other.seconds_per_run < row.seconds_per_run
+            and other.score.value <= row.score.value
+        ]
+        assert row.dominated_by == len(worse), name
+    ax = plot_cost(filters, "error (m)")
+    (x, y) = ax.lines[0].get_data()
+    front = [n for n, row in filters.items() if not row.dominated_by]
+    assert "kalman" in front
+    assert len(x) == len(front) < len(filters)
+    assert (np.diff(x) > 0).all()
+    assert (np.diff(y) < 0).all()
 
 
 def test_the_same_content_gives_the_same_bytes(written, buoy, tmp_path):

@@ -32,12 +32,22 @@ class VehicleConfig(Strict):
     """Its model: `kedge list vehicles`."""
     parameters: dict[str, Parameter] = {}
     """Parameters of the model, in SI units."""
+    true_parameters: dict[str, Parameter] = {}
+    """What the parameters are in simulation, where filters take others for true."""
+    true_from: Annotated[Finite, Field(ge=0)] = 0.0
+    """s from which on they are, such as when a payload comes on."""
     augmented: dict[str, AugmentedConfig] = {}
     """Parameters of the vehicle, or biases that a sensor reads, that are estimated."""
 
     def validation_errors(self) -> Iterator[str]:
         """Unknown names."""
-        yield from model_errors(vehicles, self.model, self.parameters)
+        wrong = list(model_errors(vehicles, self.model, self.parameters))
+        yield from wrong
+        if wrong and wrong[0].startswith("model"):
+            return
+        for line in model_errors(vehicles, self.model, self.parameters | self.true_parameters):
+            if line not in wrong:
+                yield line.replace("parameters.", "true_parameters.", 1)
 
 
 class ControlConfig(Strict):

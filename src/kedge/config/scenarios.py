@@ -277,6 +277,12 @@ class ScenarioConfig(AbstractRigConfig):
                     f"sensors.{name}.map: found {sensor.map!r}, expected one of "
                     f"{list(self.maps)}; a scenario has no log to take it from"
                 )
+        both = [name for name in self.vehicle.true_parameters if name in self.vehicle.augmented]
+        if both and self.world is None:
+            yield (
+                f"vehicle.true_parameters: found {both}, which are augmented; without a world "
+                "their true values are drawn from the prior"
+            )
         if self.prior.from_truth:
             yield (
                 "prior.from_truth: a scenario has no log to take it from; "
@@ -388,7 +394,17 @@ def build_setting(config: ScenarioConfig) -> Setting:
             feedback,
             loop_filter,
             tuple(s.build(name, config.ids_of(s.on)) for name, s in config.faults.items()),
+            _true_vehicle(config),
+            config.vehicle.true_from,
         )
     except ContractError as error:
         raise ContractError(f"{config.origin}: {error}") from error
     return Setting(config, scenario, vehicles_by_filter)
+
+
+def _true_vehicle(config: ScenarioConfig) -> AbstractVehicle | None:
+    """The vehicle with its true parameters, if they are others than filters take for true."""
+    about = config.vehicle
+    if not about.true_parameters:
+        return None
+    return build_model(vehicles.get(about.model), about.parameters | about.true_parameters)

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kedge.reports import style
 from kedge.reports.drawing import legend
 from kedge.reports.study_figures import Filters, decade_marks
@@ -26,7 +28,7 @@ def plot_cost(filters: Filters, label: str, factor: float | int = 1) -> Axes:
         for scores in known.values()
         if not scores.dominated_by
     )
-    ax.plot(*zip(*front, strict=True), color=style.color("muted"), lw=0.9, ls=(0, (3, 2)))
+    ax.plot(*np.reshape(front, (-1, 2)).T, color=style.color("muted"), lw=0.9, ls=(0, (3, 2)))
     ax.lines[-1].set_label("none is better in both")
     families: set[str] = set()
     for name, scores in known.items():
@@ -34,7 +36,7 @@ def plot_cost(filters: Filters, label: str, factor: float | int = 1) -> Axes:
         x, y = 1e3 * scores.seconds_per_run, factor * scores.score.value
         ax.plot([x], [y], "o", color=looks[name].color, ms=5)
         if scores.dominated_by:
-            ax.lines[-1].set_mfc(style.color("paper"))
+            ax.lines[-1].set_markerfacecolor(style.color("paper"))
         if kind not in families:
             ax.lines[-1].set_label(kind)
         families.add(kind)

@@ -4,13 +4,15 @@ import abc
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from kedge.core.contracts import AbstractFilter
+from kedge.core.contracts import AbstractFilter, AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space_of
+from kedge.core.quantities import Scalar
 from kedge.core.registry import unknown
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Installation, Rig, check_step
@@ -23,6 +25,7 @@ from kedge.simulation.faults import (
     drawn,
     validation_error,
 )
+from kedge.vehicles.augmented import Augmented
 
 FEEDBACKS = ("none", "truth", "readings", "filter")
 
@@ -49,6 +52,8 @@ class AbstractWorld(eqx.Module):
 
     guided: ClassVar[bool] = False
     """Whether it is steered by what is believed of it."""
+    drives: ClassVar[bool] = False
+    """Whether what moves is the scenario's vehicle, as it is at each time."""
     watches: ClassVar[tuple[str, ...]] = ()
     """What studies report of the truth itself, such as its distance from a route."""
 
@@ -106,6 +111,9 @@ class Scenario(eqx.Module):
     feedback: str = eqx.field(static=True, default="none")
     loop_filter: LoopFilter | None = None
     faults: tuple[Fault, ...] = ()
+    true_vehicle: AbstractVehicle | None = None
+    """What really moves, without augmented states, if not the rig's vehicle."""
+    true_from: float = eqx.field(static=True, default=0.0)  # s, until when the rig's does
     fault_key: PRNGKeyArray | None = None
     """From which they are drawn; :func:`kedge.simulation.simulate.simulate` gives a run's."""
 
@@ -116,6 +124,13 @@ class Scenario(eqx.Module):
                 "0 < dt <= duration"
             )
         check_step(self.rig.vehicle, self.dt, "scenario: dt")
+        if self.true_vehicle is not None:
+            check_step(self.true_vehicle, self.dt, "scenario: dt")
+            if self.world is not None and not self.world.drives:
+                raise ContractError(
+                    "vehicle.true_parameters: the world moves a vehicle of its own; expected "
+                    "none, or a world that drives the scenario's vehicle, such as lane-keeping"
+                )
         if not 0 <= self.spin_up < np.inf:
             raise ContractError(f"scenario: spin_up is {self.spin_up:g} s, expected 0 or more")
         if self.world is not None and self.spin_up:
@@ -181,6 +196,14 @@ class Scenario(eqx.Module):
     def each_in_its_loop(self) -> bool:
         """Whether a guidance is to believe each filter of a study in turn."""
         return self.feedback == "filter" and self.loop_filter is None
+
+    def vehicle_at(self, time: Scalar) -> AbstractVehicle:
+        """What really moves then: the rig's vehicle without augmented states, or another."""
+        known, true = self.rig.vehicle, self.true_vehicle
+        known = known.vehicle if isinstance(known, Augmented) else known
+        if true is None or self.true_from == 0:
+            return true or known
+        return jax.tree.map(lambda a, b: jnp.where(time < self.true_from, a, b), known, true)
 
     def ticks(self, installation: Installation) -> np.ndarray:
         """The steps, counted from 1, at whose ends a sensor reads; as often as it reads."""

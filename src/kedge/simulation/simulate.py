@@ -12,8 +12,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import PRNGKeyArray
 
+from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
+from kedge.core.quantities import Scalar
 from kedge.estimation.log import (
     SECOND,
     Log,
@@ -23,12 +25,13 @@ from kedge.estimation.log import (
     Truth,
     assemble,
 )
-from kedge.estimation.rig import Rig, as_arrays
+from kedge.estimation.rig import as_arrays
 from kedge.numerics.linalg import square_root
 from kedge.numerics.noise import process_std
 from kedge.simulation.error_paths import widening_errors, with_error_states
 from kedge.simulation.scenario import History, Scenario
 from kedge.simulation.sensing import all_sensed, all_told
+from kedge.vehicles.augmented import Augmented
 
 
 class Simulation(NamedTuple):
@@ -127,7 +130,11 @@ def _simulate(scenario: Scenario, key: PRNGKeyArray) -> Simulation:
         )
     )  # fmt: skip
     reported = all_told(history.controls, dt, scenario.drawn_faults(None))
-    path, start = (_as_estimated(rig, states) for states in (history.path, history.start))
+    ends = jnp.arange(1, scenario.steps + 1) * dt
+    path = jax.vmap(lambda state, time: _as_estimated(scenario, state, time))(
+        history.path, ends
+    )
+    start = _as_estimated(scenario, history.start, jnp.zeros(()))
     return Simulation(path, reported, readings, start)
 
 
@@ -142,16 +149,19 @@ def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -
 
     def drive(state: Any, begin: int, end: int, key: PRNGKeyArray) -> tuple[Any, Any, Any]:
         """The state at the end of every step from ``begin`` to ``end``, and the controls."""
-        controls = jax.vmap(vehicle.nominal_control)(jnp.arange(begin, end) * scenario.dt)
+        times = jnp.arange(begin, end) * scenario.dt
+        controls = jax.vmap(vehicle.nominal_control)(times)
         shocks = jr.normal(key, (end - begin, noises.size))
         shocks = shocks * process_std(vehicle, scenario.dt)[None]
 
         def body(state, inputs):
-            control, noise = inputs
-            state = vehicle.step(state, control, noises.unflatten(noise), scenario.dt)
+            time, control, noise = inputs
+            state = _true(scenario, time).step(
+                state, control, noises.unflatten(noise), scenario.dt
+            )
             return state, state
 
-        last, path = lax.scan(body, state, (controls, shocks))
+        last, path = lax.scan(body, state, (times, controls, shocks))
         return last, path, controls
 
     if before:
@@ -160,16 +170,31 @@ def _own(scenario: Scenario, start_key: PRNGKeyArray, drive_key: PRNGKeyArray) -
     return History(path, controls, first)
 
 
-def _as_estimated(rig: Rig, truth: Any) -> Any:
+def _true(scenario: Scenario, time: Scalar) -> AbstractVehicle:
+    """The rig's vehicle as it really is then, with its augmented states."""
+    known, true = scenario.rig.vehicle, scenario.vehicle_at(time)
+    if isinstance(known, Augmented):
+        return eqx.tree_at(lambda augmented: augmented.vehicle, known, true)
+    return true
+
+
+def _as_estimated(scenario: Scenario, truth: Any, time: Scalar) -> Any:
     """The true state with the fields of the rig's, for scores; what it has beyond is dropped.
+
+    An augmented parameter of the vehicle, if its world says nothing of it, is what the vehicle
+    that really moves has then.
 
     Raises:
         ContractError: the world's truth lacks a field that the rig estimates.
     """
-    cls = type(rig.prior.mean)
-    if lacking := [field for field in cls._fields if not hasattr(truth, field)]:
+    cls, vehicle = type(scenario.rig.prior.mean), scenario.vehicle_at(time)
+    known = {name: jnp.asarray(getattr(truth, name)) for name in type(truth)._fields}
+    for name in cls._fields:
+        if name not in known and hasattr(vehicle, name):
+            known[name] = jnp.asarray(getattr(vehicle, name), float)
+    if lacking := [field for field in cls._fields if field not in known]:
         raise ContractError(
             f"scenario: the rig estimates {lacking}, of which its world knows nothing; the "
             f"truth has {list(type(truth)._fields)}"
         )
-    return cls(*(getattr(truth, field) for field in cls._fields))
+    return cls(*(known[field] for field in cls._fields))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from kedge.core.contracts import AbstractVehicle
 from kedge.core.errors import ContractError
 from kedge.core.manifolds import space
 from kedge.core.quantities import Curvature, Metres, Radians, Scalar, SteeringAngle
@@ -17,6 +18,7 @@ from kedge.simulation.guidance import lane_keeper, like, steady_turn
 from kedge.simulation.loop import AbstractGuidedWorld
 from kedge.simulation.routes import Lane
 from kedge.simulation.scenario import History, Scenario
+from kedge.vehicles.augmented import Augmented
 from kedge.vehicles.lateral_tracking import (
     AbstractLateral,
     Control,
@@ -29,6 +31,8 @@ from kedge.vehicles.lateral_tracking import (
 class Ahead(NamedTuple):
     """By step."""
 
+    time: Float[Array, "*K"]
+
     gusts: Noise
     bend: Float[Array, "*K"]
     """The curvature of the path, whoever knows it."""
@@ -39,15 +43,17 @@ class LaneKeeping(AbstractGuidedWorld):
     r"""The rig's car in its nonlinear form, in the middle of a bending lane or next to it.
 
     It begins ``offset`` to the left of the path, straight and at the right speed, and is
-    blown about by the noise of the rig's vehicle. A quadratic regulator steers it into the
-    bend. Filters are told steering angle, acceleration and the path's curvature; unless
-    ``curvature_known`` is true, they and the guidance take the path for straight.
+    blown about by the noise of the rig's vehicle; what moves has the true parameters. A
+    quadratic regulator steers it into the bend. Filters are told steering angle, acceleration
+    and the path's curvature; unless ``curvature_known`` is true, they and the guidance take the
+    path for straight.
 
     Studies report the offset, the heading error and the rate at which it steers.
 
     Source: R. Rajamani, "Vehicle Dynamics and Control", 2nd ed., 2012, chapters 2 and 3.
     """
 
+    drives: ClassVar = True
     watches: ClassVar = ("offset", "heading_error", "steering_rate")
 
     route: Lane = Lane()
@@ -65,8 +71,9 @@ class LaneKeeping(AbstractGuidedWorld):
         noises = space(car.noise_density())
         white = jr.normal(key, (scenario.steps, noises.size))
         gusts = jax.vmap(noises.unflatten)(white * process_std(car, scenario.dt)[None])
-        bends: Any = jax.vmap(self.route.bend)(jnp.arange(scenario.steps) * scenario.dt)
-        return start, Ahead(gusts, bends)
+        times = jnp.arange(scenario.steps) * scenario.dt
+        bends: Any = jax.vmap(self.route.bend)(times)
+        return start, Ahead(times, gusts, bends)
 
     def state(self, body: State) -> State:
         return body
@@ -92,9 +99,9 @@ class LaneKeeping(AbstractGuidedWorld):
     def move(
         self, scenario: Scenario, body: State, command: Control, draws: Ahead
     ) -> tuple[State, Control]:
-        gusts, bend = jax.tree.map(lambda leaf: leaf[0], draws)
+        time, gusts, bend = jax.tree.map(lambda leaf: leaf[0], draws)
         bending = command._replace(curvature=bend)
-        body = _car(scenario).step(body, bending, gusts, scenario.dt)
+        body = _lateral(scenario.vehicle_at(time)).step(body, bending, gusts, scenario.dt)
         return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (body, command))
 
     def watch(self, scenario: Scenario, history: History) -> Float[Array, "K w"]:
@@ -104,7 +111,12 @@ class LaneKeeping(AbstractGuidedWorld):
 
 
 def _car(scenario: Scenario) -> LateralTracking:
-    vehicle = scenario.rig.vehicle
+    """The car as guidance and filters know it."""
+    known = scenario.rig.vehicle
+    return _lateral(known.vehicle if isinstance(known, Augmented) else known)
+
+
+def _lateral(vehicle: AbstractVehicle) -> LateralTracking:
     if not isinstance(vehicle, AbstractLateral):
         raise ContractError(
             f"world: a {type(vehicle).__name__} cannot keep a lane; expected the vehicle "
