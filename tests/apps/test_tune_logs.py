@@ -6,6 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
+from kedge.apps.tune_parts import growth
+
 
 @pytest.fixture
 def logs(site):
@@ -125,3 +127,14 @@ def test_a_log_of_another_rig_is_refused_by_name(site, kedge, logs):
     assert str(logs[1]) in err
     assert "camera" in err
     assert not (site / "out").exists()
+
+
+def test_errors_grow_by_the_root_of_their_squares_over_the_parts():
+    def column(*errors):
+        return {
+            f"log_{n}": {"rmse": {"position": e, "speed": 1.0}} for n, e in enumerate(errors)
+        }
+
+    scores = {"start": column(3.0, 4.0), "left_out": column(6.0, 8.0)}
+    assert growth(scores) == 2.0
+    assert growth({"start": {"log_0": {}}, "left_out": {"log_0": {}}}) is None

@@ -87,6 +87,13 @@ def test_readings_foretold_are_not_enough_where_the_truth_is_missed(certainty, s
     assert verdict.sentence.startswith(status)
 
 
+@pytest.mark.parametrize(("growth", "status"), [(1.05, "holds"), (1.2, "farther off")])
+def test_readings_foretold_are_not_enough_where_the_error_grows(growth, status):
+    part = LeftOut(np.ones(2), 10, 5.0, 1.0, 1.01)
+    verdict = generalisation([part, part], choose(buoy(), None), "logs", 1.0, growth)
+    assert verdict.status == status
+
+
 def test_parts_count_by_their_judgements():
     chosen = choose(buoy(), None)
     parts = [LeftOut(np.ones(2), 1, 5.0, 1.0, 2.0), LeftOut(np.ones(2), 3, 1.0, 1.0, 1.0)]

@@ -20,14 +20,12 @@ from kedge.formats.results import as_toml, plain, write_summary
 from kedge.formats.results_folder import results_folder
 from kedge.reports.style import save_png, svg_of
 from kedge.reports.tuning_report import draw_profiles, parameter_rows
-from kedge.tuning.generalisation import generalisation, leave_one_out
+from kedge.tuning.generalisation import FARTHER, generalisation, leave_one_out
 from kedge.tuning.loss import ungated
 from kedge.tuning.tunable import choose
 from kedge.tuning.tuning import Search, Tuned, conclude, fit
 
 HOLD_OUT, MOST_HELD_OUT = 0.5, 0.9
-WORSE = 1.1
-"""By this factor an error must grow to be worth a warning."""
 
 
 class Options(NamedTuple):
@@ -131,7 +129,8 @@ def execute(rig: str, logs: Sequence[str], out: Path, options: Options) -> dict[
         summary |= {"horizons": list(horizons), "logs": dict(parts.named(logs))}
         if leaves_out:
             what = "blocks" if options.blocks else "logs"
-            verdict = generalisation(without, chosen, what, parts.certainty(scores["left_out"]))
+            truth = parts.certainty(scores["left_out"]), parts.growth(scores)
+            verdict = generalisation(without, chosen, what, *truth)
             values = [[float(value) for value in part.values] for part in without]
             summary["generalisation"] = verdict._asdict() | {
                 "parts": {
@@ -204,7 +203,7 @@ def warnings(scores: Mapping[str, Any], with_truth: bool) -> list[str]:
                 "the scores without gates, and widen the gates or give them a recovery"
             )
         for field, error in before.get("rmse", {}).items():
-            if after["rmse"][field] > WORSE * error:
+            if after["rmse"][field] > FARTHER * error:
                 found.append(
                     f"{name} part: rmse of {field} is {after['rmse'][field]:.3g}, it was "
                     f"{error:.3g}"

@@ -151,6 +151,17 @@ def certainty(scores: Mapping[str, Mapping[str, Any]]) -> float | None:
     return float(np.mean(ratios)) if ratios else None
 
 
+def growth(scores: Mapping[str, Mapping[str, Any]]) -> float | None:
+    """The most that the error of a field grows by on parts left out; None without truth."""
+    squared: dict[str, list[tuple[float, float]]] = {}
+    for part, before in scores["start"].items():
+        for field, error in before.get("rmse", {}).items():
+            after = scores["left_out"][part]["rmse"][field]
+            squared.setdefault(field, []).append((error**2, after**2))
+    sums = [np.sum(pairs, axis=0) for pairs in squared.values()]
+    return max((float(np.sqrt(b / a)) for a, b in sums if a > 0), default=None)
+
+
 def named(logs: Sequence[str]) -> Iterator[tuple[str, str]]:
     """The logs by the names of their parts."""
     for number, log in enumerate(logs, start=1):

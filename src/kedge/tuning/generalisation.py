@@ -14,6 +14,8 @@ from kedge.tuning.tuning import Fit, Search, fit
 
 COSTLY = 0.1
 """Nats by judgement: what a deviation a third too small costs a reading of one component."""
+FARTHER = 1.1
+"""By this factor an error must grow to count."""
 TOO_SURE = 1.6
 """NEES by its expectation, above which a filter is more certain than it may be."""
 
@@ -36,7 +38,7 @@ class Generalisation(NamedTuple):
     """What tuning is worth where it was not tuned."""
 
     status: str
-    """``holds``, ``too sure``, ``over-fit`` or ``worse``."""
+    """``holds``, ``farther off``, ``too sure``, ``over-fit`` or ``worse``."""
     sentence: str
     start: float
     tuned_on: float
@@ -86,11 +88,13 @@ def generalisation(
     chosen: Sequence[Tunable],
     what: str,
     certainty: float | None = None,
+    growth: float | None = None,
 ) -> Generalisation:
     """The verdict: ``what`` are the parts, such as logs.
 
-    ``certainty`` is the mean NEES of the parts left out by its expectation, where truth is
-    known: readings may be foretold as well elsewhere, and the truth may still be missed.
+    Where truth is known, ``certainty`` is the mean NEES of the parts left out by its
+    expectation, and ``growth`` the most that the error of a field is multiplied by: readings
+    may be foretold as well elsewhere, and the truth may still be missed.
     """
     weights = np.array([part.judged for part in parts], float)
     losses = np.array([part[2:] for part in parts])
@@ -119,6 +123,13 @@ def generalisation(
             f"NEES is {certainty:.2g} times what it should be; the errors of readings are "
             "correlated or the model lacks something: give the sensor an error with a memory "
             "and use --horizons, or judge --with-truth",
+            start, tuned_on, left_out,
+        )  # fmt: skip
+    if growth is not None and not growth <= FARTHER:
+        return Generalisation(
+            "farther off",
+            f"farther off: {given} foretell the readings left out as well, but the error there "
+            f"is {growth:.2g} times what it is with the rig's own values; keep the rig's",
             start, tuned_on, left_out,
         )  # fmt: skip
     return Generalisation(
