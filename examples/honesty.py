@@ -40,7 +40,7 @@ DRIVES = [f"{sight}/Trajectory_A/Case_{case}" for sight in ("LOS", "NLOS") for c
 SETS = {
     "hanyang": Recorded(
         "hanyang_uwb",
-        "static readings; walk: these drives",
+        "static readings; these drives",
         {
             f"{run.split('/')[0]} {run[-1]}": f"hanyang_uwb/Dynamic_measurements#{run}"
             for run in DRIVES
@@ -48,18 +48,18 @@ SETS = {
     ),
     "mrclam": Recorded(
         "mrclam",
-        "these robots' residuals",
+        "these robots",
         {f"robot {n}": f"mrclam/MRCLAM_Dataset7#{n}" for n in range(1, 6)},
     ),
-    "plaza": Recorded("plaza", "this drive's residuals", {"1": "plaza/Plaza1_.mat"}),
+    "plaza": Recorded("plaza", "this drive", {"1": "plaza/Plaza1_.mat"}),
     "akit": Recorded(
-        "auv_akit_snapir", "the others", {str(n): f"auv_akit_snapir#{n}" for n in range(1, 8)}
+        "auv_akit_snapir",
+        "the others; error: these runs",
+        {str(n): f"auv_akit_snapir#{n}" for n in range(1, 8)},
     ),
     "isas": Recorded("isas_walk", "this walk", {"walk 1": "isas_walk/walk1.bag"}),
-    "lias": Recorded("lias_trolley", "this drive's residuals", {"fast": "lias_trolley"}),
-    "starloc": Recorded(
-        "starloc", "this drive's residuals", {"loop": "starloc/loop-2d-fast_s1"}
-    ),
+    "lias": Recorded("lias_trolley", "this drive", {"fast": "lias_trolley"}),
+    "starloc": Recorded("starloc", "this drive", {"loop": "starloc/loop-2d-fast_s1"}),
     "labyrinth": Recorded("labyrinth", "nothing", {"indoor": "labyrinth/Indoor_UWB"}),
 }
 
