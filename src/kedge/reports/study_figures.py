@@ -230,11 +230,12 @@ def _finish(row: Any, end: float) -> None:
 
 
 def decade_marks(axis: Any, ends: tuple[float, float]) -> None:
-    """Label 1, 2 and 5 of each decade where there are few decades."""
+    """Label 1, 2 and 5 of each decade where there are few decades; every digit in half of one."""
     axis.set_major_formatter(lambda value, _: style.number(value, 1))
     axis.set_minor_locator(style.studio("matplotlib.ticker").NullLocator())
     if ends[1] < 100 * ends[0]:
-        axis.set_major_locator(style.studio("matplotlib.ticker").LogLocator(subs=(1, 2, 5)))
+        subs = (1, 2, 5) if ends[1] > 5 * ends[0] else range(1, 10)
+        axis.set_major_locator(style.studio("matplotlib.ticker").LogLocator(subs=subs))
 
 
 def _grid(rows: int, columns: int, **options: Any) -> Any:
