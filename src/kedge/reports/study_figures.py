@@ -230,7 +230,7 @@ def _finish(row: Any, end: float) -> None:
 
 
 def decade_marks(axis: Any, ends: tuple[float, float]) -> None:
-    """Label 1, 2 and 5 of each decade where there are few decades; every digit in half of one."""
+    """Label 1, 2 and 5 of each decade where there are few; every digit in half of one."""
     axis.set_major_formatter(lambda value, _: style.number(value, 1))
     axis.set_minor_locator(style.studio("matplotlib.ticker").NullLocator())
     if ends[1] < 100 * ends[0]:
