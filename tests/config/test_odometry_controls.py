@@ -6,7 +6,7 @@ import pytest
 
 import kedge
 from kedge.config.problem import load_problem
-from kedge.core.errors import ConfigError
+from kedge.core.errors import ConfigError, DataError
 
 STEPS, DT = 60, 0.1
 LEFT, RIGHT = 700 + np.zeros(STEPS), 900 + np.zeros(STEPS)  # ticks a second of 1 mm
@@ -70,6 +70,30 @@ def test_counts_that_flow_over_drive_on_a_circle(tmp_path):
     x, y, heading = circle()
     np.testing.assert_allclose(end.position, [x[-1], y[-1]], atol=1e-9)
     np.testing.assert_allclose(end.heading, heading[-1], atol=1e-9)
+
+
+def test_counts_of_which_some_are_missing_drive_as_all_do(tmp_path):
+    counts = {
+        name: np.append(0, np.cumsum(rate * DT))
+        for name, rate in (("left", LEFT), ("right", RIGHT))
+    }
+    counts["left"][[20, 21, 40]] = np.nan
+    rig, log = folder(
+        tmp_path, counts, RIG.format(model="odometry", sampling="counts", more="")
+    )
+    end, (_, _, heading) = driven(rig, log), circle()
+    np.testing.assert_allclose(end.heading, heading[-1], atol=1e-9)
+    assert f"control: 3 of {STEPS + 1} rows lack a number" in "".join(
+        load_problem(rig, log).notes
+    )
+
+
+def test_an_increment_that_is_missing_is_refused(tmp_path):
+    ways = {"left": LEFT * DT, "right": RIGHT * DT}
+    ways["right"][20] = np.nan
+    rig = RIG.format(model="odometry", sampling="increments", more="")
+    with pytest.raises(DataError, match="found nothing, .* a control must be complete"):
+        load_problem(*folder(tmp_path, ways, rig))
 
 
 def test_poses_of_an_odometry_drive_wherever_its_frame_is(tmp_path):

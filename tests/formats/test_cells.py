@@ -35,6 +35,11 @@ READ = {
     "comments": "# a yard\n" + PLAIN.replace("1.5,0", "# stop\n1.5,0"),
     "names in a comment": "# " + PLAIN,
     "a row of units": PLAIN.replace("y\n", "y\ns,[m],(m)\n"),
+    "a row of units in brackets, of ours or not": PLAIN.replace("y\n", "y\n[-],[°/h],[°C]\n"),
+    "a row of units, one without": PLAIN.replace("y\n", "y\ns,°,-\n"),
+    "blanks": PLAIN.replace(",", " "),
+    "columns of a fixed width": PLAIN.replace(",", "   ").replace("\n", "  \n "),
+    "names in a comment, blanks": "# " + PLAIN.replace(",", " "),
     "commas behind each row": PLAIN.replace("\n", ",\n"),
     "commas behind the rows only": PLAIN.replace("3\n", "3,\n").replace("-2\n", "-2,\n"),
     "two columns without a name": PLAIN.replace("\n", ",,\n"),
@@ -124,6 +129,23 @@ def test_a_row_of_units_must_not_contradict_the_log(path):
     path.write_text("time,x\ns,mm\n0,1\n")
     with pytest.raises(DataError, match="row of units says 'mm', the log 'm'"):
         build_table(read_cells(path), "imu", "time", "s", {"x": ("x", "m")})
+
+
+def test_a_unit_that_nobody_knows_is_noted(path):
+    path.write_text("time,x\n[s],[Elle]\n0,1\n")
+    notes = []
+    build_table(read_cells(path), "imu", "time", "s", {"x": ("x", "m")}, notes=notes)
+    assert notes == [
+        f"{path.name}: column 'x': its row of units says 'Elle', no unit of ours; 'm' was taken"
+    ]
+
+
+def test_the_sign_of_degrees_is_a_unit(path):
+    path.write_text("time,x\ns,°/s\n0,180\n")
+    table = build_table(read_cells(path), "imu", "time", "s", {"x": ("x", "deg/s")})
+    assert table.columns["x"] == pytest.approx(np.pi)
+    with pytest.raises(DataError, match="row of units says '°/s', the log 'rad/s'"):
+        build_table(read_cells(path), "imu", "time", "s", {"x": ("x", "rad/s")})
 
 
 # Seconds since 1970 by the Unix command "date -u +%s -d ...".

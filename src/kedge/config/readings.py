@@ -70,9 +70,11 @@ def read_controls(
     wanted = {part: unit_of(u, sampling) for part, u in units.items() if SLOPE not in part}
     if sampling == "poses":
         wanted = POSE
+    named = [config.control.columns.get(part, part) for part in wanted]
+    if sampling != "increments":  # of which none can be left out
+        table = _without_missing(table, [n for n in named if n in table.columns], notes)
     columns = find_columns(table, wanted, config.control.columns, "control")
-    names = [config.control.columns.get(part, part) for part in columns]
-    require_finite(table, names, "a control")
+    require_finite(table, [n for n in named if n in table.columns], "a control")
     if sampling == "counts":
         columns = counted(columns, config.control.counter)
     elif sampling == "poses":
@@ -86,6 +88,18 @@ def read_controls(
     if hasattr(controls, "specific_force"):
         notes += question(table, controls.specific_force, controls.angular_rate)
     return table.stamps, controls
+
+
+def _without_missing(table: Table, names: Sequence[str], notes: list[str]) -> Table:
+    """The rows of a control in which nothing is missing, if there are any."""
+    missing = np.any([np.isnan(table.columns[name]) for name in names], axis=0)
+    if not missing.any() or missing.all():
+        return table
+    notes.append(
+        f"control: {missing.sum()} of {len(missing)} rows lack a number and were left out; "
+        "the control before them goes on"
+    )
+    return table.take(np.flatnonzero(~missing))
 
 
 def map_of(config: AbstractRigConfig, name: str, maps: Mapping[str, TargetMap]) -> TargetMap:

@@ -1,7 +1,8 @@
 """The cells of text files, by column, as spreadsheets and loggers write them.
 
-What is unambiguous is read, and said in the notes: the delimiter, decimal commas, comments,
-a row of units, a last line that was cut off. What is not is refused with its line.
+What is unambiguous is read, and said in the notes: the delimiter, blanks between columns,
+decimal commas, comments, a row of units, a last line that was cut off. What is not is refused
+with its line.
 """
 
 import csv
@@ -226,7 +227,7 @@ def read_cells(
         return _cells(path, header, rows, " ", {})
     delimiter, first = _delimiter(text)
     if delimiter != ",":
-        name = {"\t": "tabs"}.get(delimiter, repr(delimiter))
+        name = {"\t": "tabs", " ": "blanks"}.get(delimiter, repr(delimiter))
         notes.append(f"{path.name}: its cells are separated by {name}")
     rows = list(_csv_rows(path, text, delimiter, first, notes))
     if not rows:
@@ -238,7 +239,7 @@ def read_cells(
     units = {}
     if rows and _are_units(rows[0].cells):
         units = {
-            name: cell.strip(" []()") for name, cell in zip(names, rows[0].cells, strict=True)
+            name: cell.strip(" []()-") for name, cell in zip(names, rows[0].cells, strict=True)
         }
         notes.append(f"{path.name}: line {rows.pop(0).line} was left out: a row of units")
     return _cells(path, names, rows, delimiter, units)
@@ -279,10 +280,14 @@ def _delimiter(text: str) -> tuple[str, int]:
         not lines[first].strip() or lines[first].lstrip().startswith(COMMENTS)
     ):
         first += 1
-    if first and first < len(lines) and _whole(re.split(r"[,;\t|]", lines[first])):
+    if first and first < len(lines) and _whole(re.split(r"[,;\t| ]", lines[first])):
         first -= 1  # numbers below a comment: it is the header
     header = re.sub(r'"[^"]*"', "", lines[first]) if lines else ""
     counts = {mark: header.count(mark) for mark in DELIMITERS}
+    words = len(header.lstrip("#%/ ").split())
+    if words > 1 and not any(counts.values()) and len(lines) > first + 1:
+        # A date and time of day in one row are two words under one name: no such table.
+        return (" " if len(lines[first + 1].split()) == words else ","), first
     return max(counts, key=lambda mark: counts[mark]), first
 
 
@@ -299,6 +304,7 @@ def _csv_rows(
                 continue
             if header:
                 row[0] = row[0].lstrip("".join(COMMENTS) + " ")
+                row = row[1:] if delimiter == " " and not row[0] else row
             elif row[0].lstrip().startswith(COMMENTS):
                 comments += 1
                 continue
@@ -337,16 +343,19 @@ def _is_cut(rows: list[_Row], size: int) -> bool:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Whether all are units, in brackets or not."""
+    """Whether all are units: of ours or none (-), or whatever else in square brackets."""
 
     def is_unit(cell: str) -> bool:
+        if re.fullmatch(r"\[.*\]", cell.strip()):
+            return True
         try:
             unit_of(cell.strip(" []()"))
         except DataError:
-            return cell.strip(" []()") in (*TIME_FORMS, "")
+            return cell.strip(" []()-") in (*TIME_FORMS, "")
         return not NUMBER.fullmatch(cell)
 
-    return any(map(str.strip, cells)) and all(map(is_unit, cells))
+    said = any(cell.strip(" -") for cell in cells)
+    return said and all(map(is_unit, cells))
 
 
 def _identifier(cell: str) -> str:

@@ -98,12 +98,19 @@ def build_table(
         for column, spec in columns.items()
     }
     for column, spec in declared.items():
-        written = cells.units.get(column)
-        if written and unit_of(written) != unit_of(spec.unit):
-            raise DataError(
-                f"{cells.path}: column {column!r}: its row of units says {written!r}, the log "
-                f"{spec.unit!r}"
-            )
+        if not (written := cells.units.get(column)):
+            continue
+        said = f"column {column!r}: its row of units says {written!r}, "
+        try:
+            same = unit_of(written) == unit_of(spec.unit)
+        except DataError:
+            same = True
+            if notes is not None:
+                notes.append(
+                    f"{cells.path.name}: {said}no unit of ours; {spec.unit!r} was taken"
+                )
+        if not same:
+            raise DataError(f"{cells.path}: {said}the log {spec.unit!r}")
     return Table(
         name,
         cells.path,
