@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import model_validator
 
 from kedge.core.errors import DataError
-from kedge.core.registry import unknown
+from kedge.core.registry import readers, unknown
 from kedge.formats.attitudes import AttitudeConfig
 from kedge.formats.cells import NotFinite
 from kedge.formats.origin import OriginConfig, unit_errors
@@ -16,6 +16,8 @@ from kedge.formats.toml import Strict
 from kedge.formats.units import unit_of
 
 Frame = Literal["enu", "ned"]
+FOLDERS = ("bag", "folder")
+"""Formats that need to be told more than a file."""
 
 
 class ColumnConfig(Strict):
@@ -117,14 +119,20 @@ class LogConfig(Strict):
     """The source to compare with."""
     origin: OriginConfig | Literal["first"] = "first"
     """Of the map, for columns called latitude and longitude."""
-    sources: dict[str, SourceConfig]
+    sources: dict[str, SourceConfig] = {}
     """The files, by the name that a rig calls them."""
+    files: dict[str, str] = {}
+    """Files of other formats -> their format, such as nmea: their sources go with these."""
     maps: dict[str, MapSource] = {}
     """Maps of targets, by name."""
 
     def validation_errors(self) -> Iterator[str]:
-        """A truth that is no source."""
-        if self.truth is not None and self.truth not in self.sources:
+        """A truth that is no source, a format that there is not."""
+        for file, format in self.files.items():
+            if format not in readers or format in FOLDERS:
+                known = [name for name in readers.names() if name not in FOLDERS]
+                yield f"files.{file}: {unknown('format of one file', format, known)}"
+        if self.truth is not None and self.truth not in self.sources and not self.files:
             yield f"truth: {unknown('source', self.truth, list(self.sources))}"
 
 

@@ -10,12 +10,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from kedge.core.errors import DataError
-from kedge.core.registry import readers
+from kedge.core.registry import readers, unknown
 from kedge.formats.attitudes import all_to_enu
 from kedge.formats.bag_frames import Placed
 from kedge.formats.cells import read_cells
@@ -33,6 +33,9 @@ from kedge.formats.tables import (
 from kedge.formats.times import TimeForm
 from kedge.formats.toml import quoted, read_toml
 from kedge.formats.units import unit_of
+
+
+T = TypeVar("T")
 
 
 class TargetMap(NamedTuple):
@@ -81,9 +84,11 @@ def read_folder(folder: Path, part: str | None = None) -> RawLog:
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder, expected a log folder with a log.toml")
     config = read_toml(folder / "log.toml", LogConfig, error=DataError)
-    if not config.sources:
+    if not config.sources and not config.files:
         raise DataError(f"{folder / 'log.toml'}: sources: empty log: there are none")
-    tables, maps, files = {}, {}, [folder / "log.toml"]
+    tables: dict[str, Table] = {}
+    maps: dict[str, TargetMap] = {}
+    files = [folder / "log.toml"]
     notes: list[str] = []
     for name, source in config.sources.items():
         frame = source.frame or config.frame
@@ -93,6 +98,16 @@ def read_folder(folder: Path, part: str | None = None) -> RawLog:
         path = _file(folder, spec.file) if spec.file else files[0]
         maps[name] = _read_map(path, spec, spec.frame or config.frame)
         files.append(path)
+    for name, format in config.files.items():
+        other = readers.get(format)(folder / name, None)
+        _add(folder, name, tables, other.tables, "source")
+        _add(folder, name, maps, other.maps, "map")
+        files += other.files
+        notes += other.notes
+        notes += [f"{name}: its time 0 is {other.epoch}"] * (other.epoch not in ("", "Unix"))
+    if config.truth and config.truth not in tables:
+        what = unknown("source", config.truth, list(tables))
+        raise DataError(f"{folder / 'log.toml'}: truth: {what}")
     truth = tables.pop(config.truth) if config.truth else None
     if truth is not None:
         require_finite(truth, truth.columns, "truth")
@@ -138,6 +153,22 @@ def digest_inputs(raw: RawLog) -> str:
         data = path.read_bytes()
         digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
     return digest.hexdigest()
+
+
+def _add(
+    folder: Path, file: str, known: dict[str, T], others: Mapping[str, T], kind: str
+) -> None:
+    """Put what another format brings to what ``log.toml`` says.
+
+    Raises:
+        DataError: both have one of the same name.
+    """
+    if twice := sorted(known.keys() & others.keys()):
+        raise DataError(
+            f"{folder / 'log.toml'}: files.{file}: found a {kind} {twice[0]!r} that there is "
+            "already, expected other names"
+        )
+    known.update(others)
 
 
 def _read_source(
