@@ -92,7 +92,7 @@ def test_an_increment_that_is_missing_is_refused(tmp_path):
     ways = {"left": LEFT * DT, "right": RIGHT * DT}
     ways["right"][20] = np.nan
     rig = RIG.format(model="odometry", sampling="increments", more="")
-    with pytest.raises(DataError, match="found nothing, .* a control must be complete"):
+    with pytest.raises(DataError, match=r"found nothing, .* a control must be complete"):
         load_problem(*folder(tmp_path, ways, rig))
 
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from kedge.formats.guesses import compassed, guess, time_unit, weighed
+from kedge.formats.guesses import (
+    compassed,
+    counts_from_north,
+    guess,
+    in_one_unit,
+    ticks,
+    time_unit,
+    weighed,
+)
 
 
 @pytest.mark.parametrize(
@@ -21,7 +29,11 @@ from kedge.formats.guesses import compassed, guess, time_unit, weighed
         ("velocity (km/h)", 12.0, ("speed", "km/h")),
         ("twist.twist.linear.x".replace(".", "_"), 1.0, ("speed", "m/s")),
         ("DVL X [m/s]", 2.0, ("velocity_body_x", "m/s")),
-        ("Easting", 5e5, ("position_x", "m")),
+        ("Easting", 5e5, ("position_east", "m")),
+        ("wheel_speed_kmh", 30.0, ("speed", "km/h")),
+        ("gyro_z_dps", 3.0, ("angular_rate_z", "deg/s")),
+        ("Geschwindigkeit [km/h]", 3.0, ("speed", "km/h")),
+        ("Drehrate [°/s]", 3.0, ("yaw_rate", "deg/s")),
         ("dist_mm", 5000.0, ("range", "mm")),
         ("orientation_w", 1.0, ("attitude_w", "1")),
         ("covariance_x", 1.0, None),
@@ -72,3 +84,38 @@ def test_the_points_of_the_compass_are_axes_of_one_frame(third, axes):
     assert columns[third].name == "velocity_z"
     for point, axis in axes.items():
         assert columns[f"V {point} [m/s]"].name == f"velocity_{axis}"
+
+
+def test_easting_and_northing_are_x_and_y():
+    columns, _ = compassed({h: guess(h, np.zeros(3)) for h in ("Easting", "Northing", "east")})
+    assert {c: g.name for c, g in columns.items()} == {
+        "Easting": "position_x",
+        "Northing": "position_y",
+    }
+
+
+def test_roll_is_in_degrees_where_the_heading_is():
+    largest = {"roll": 3.0, "pitch_rad": 0.1, "yaw": 359.0}
+    columns = {name: guess(name, np.array([size])) for name, size in largest.items()}
+    units = {name: guessed.unit for name, guessed in in_one_unit(columns).items()}
+    assert units == {"roll": "deg", "pitch_rad": "rad", "yaw": "deg"}
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(100.0, "1"), (0.7, "m/s")])
+def test_large_whole_numbers_of_wheels_are_ticks(scale, unit):
+    numbers = {name: scale * np.arange(5.0) for name in ("left", "right")}
+    columns = {name: guess(name, values) for name, values in numbers.items()}
+    assert {g.unit for g in ticks(columns, numbers).values()} == {unit}
+
+
+@pytest.mark.parametrize("names", [("x", "y"), ("lon", "lat")])
+@pytest.mark.parametrize("compass", [True, False])
+def test_the_way_tells_from_where_a_heading_counts(names, compass):
+    heading = np.radians(np.linspace(10, 170, 50))
+    x, y = np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading))
+    if names[0] == "lon":  # at 60 degrees north, a degree of longitude is half as long
+        x, y = 9 + 2e-5 * x, 60 + 1e-5 * y
+    told = (90 - np.degrees(heading)) % 360 if compass else np.degrees(heading)
+    numbers = dict(zip((*names, "yaw"), (x, y, told), strict=True))
+    columns = {name: guess(name, values) for name, values in numbers.items()}
+    assert counts_from_north(columns, numbers) is compass

@@ -202,3 +202,30 @@ def test_logs_that_are_not_there(tmp_path):
         UnknownName, match=r"no log format called 'mrclan' \(did you mean 'mrclam'"
     ):
         read_log(str(tmp_path), "mrclan")
+
+
+def test_a_file_of_another_format_brings_its_sources(tmp_path):
+    track = """<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
+<trkpt lat="48.0" lon="9.0"><time>2024-05-10T12:00:00Z</time></trkpt>
+<trkpt lat="48.0" lon="9.001"><time>2024-05-10T12:00:01Z</time></trkpt></trkseg></trk></gpx>"""
+    toml = 'files = { "way.gpx" = "gpx" }\n[sources.imu]\ncolumns = { yaw_rate = "deg/s" }\n'
+    path = folder(tmp_path, toml, imu="time,yaw_rate\n2024-05-10T12:00:00.5Z,1\n")
+    (Path(path) / "way.gpx").write_text(track)
+    raw = read_log(path)
+    assert set(raw.tables) == {"imu", "gnss"}
+    assert raw.tables["gnss"].stamps[1] - raw.tables["imu"].stamps[0] == 500_000_000
+    assert Path(path) / "way.gpx" in raw.files  # and so in the digest
+    log = Path(path) / "log.toml"
+    log.write_text(toml.replace("imu", "gnss"))
+    (Path(path) / "imu.csv").rename(Path(path) / "gnss.csv")
+    with pytest.raises(DataError, match=r"files.way.gpx: found a source 'gnss' that there is"):
+        read_log(path)
+    (Path(path) / "gnss.csv").rename(Path(path) / "imu.csv")
+    for said, message in (
+        (toml.replace('"gpx"', '"gpy"'), r"log.toml:1: files.way.gpx: no format of one file"),
+        (toml.replace('"gpx"', '"bag"'), r"no format of one file called 'bag'"),
+        (f'truth = "vicon"\n{toml}', r"truth: no source called 'vicon'"),
+    ):
+        log.write_text(said)
+        with pytest.raises(DataError, match=message):
+            read_log(path)

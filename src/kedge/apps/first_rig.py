@@ -22,6 +22,7 @@ DRIVEN = (
     ("unicycle", {"speed", "yaw_rate"}, "speed_noise = 0.05, yaw_rate_noise = 0.02"),
 )
 """Vehicles in the plane, what drives them, and what has to be known of them."""
+TICKS = "left_metres_per_tick = 0.001, right_metres_per_tick = 0.001, track = 0.5"
 IN_PLANE = (
     ("pose", PLACE | {"heading"}, {"position_std": "position_x", "heading_std": "heading"}),
     ("gnss", PLACE, {"std": "position_x"}),
@@ -33,6 +34,7 @@ IN_SPACE = (
     ("gnss3", SPACE, {"horizontal_std": "position_x", "vertical_std": "position_z"}),
     ("attitude", TURN, {}),
     ("doppler", BODY, {"std": "velocity_body_x"}),
+    ("depth", {"depth"}, {"std": "depth"}),
     ("ranges3", {"range"}, {"range_std": "range"}),
 )
 """Sensors, what they measure, and which column tells which of their deviations."""
@@ -65,6 +67,9 @@ def rig_text(raw: RawLog, preamble: str) -> str:
     apart = truth_has_own_frame(raw)
     known = set() if raw.truth is None or apart else set(raw.truth.columns)
     model, source, parameters = _motion(sets, known)
+    counts = source is not None and raw.tables[source].units.get("left") == "1"
+    if counts:
+        model, parameters = "odometry", TICKS
     start = type(vehicles.get(model)().start())
     planar = "heading" in start._fields
     if model == "wandering" and (
@@ -77,7 +82,10 @@ def rig_text(raw: RawLog, preamble: str) -> str:
         lines += ["", "# Its axes are not those of the fixes: the path's shape is compared."]
         lines += ["[truth]", "own_frame = true"]
     lines += ["", *_vehicle(model, source, parameters)]
-    used = set() if source is None else {c for m, c, _ in DRIVEN if m == model for c in c}
+    if counts and source is not None:
+        lines += _counted(raw.tables[source])
+    driven = "differential-drive" if counts else model
+    used = set() if source is None else {c for m, c, _ in DRIVEN if m == driven for c in c}
     fused: dict[str, set[str]] = {}
     for name, table in raw.tables.items():
         free = sets[name] - (used if name == source else set())
@@ -91,6 +99,8 @@ def rig_text(raw: RawLog, preamble: str) -> str:
                 label = name if name not in fused else f"{name}_{kind.replace('-', '_')}"
                 fused[label] = needs
                 lines += _sensor(label, name, kind, table, stds, raw)
+    augmented = list(_augmented(raw, fused))
+    lines += ["", "[vehicle.augmented]", *augmented] if augmented else []
     if "attitude" in start._fields and not any(needs >= TURN for needs in fused.values()):
         lines += ["", *UNTURNED]
     lines += _prior(model, raw, known, fused)
@@ -126,12 +136,22 @@ def _vehicle(model: str, source: str | None, parameters: str) -> Iterator[str]:
     why = {
         "wandering": "Nothing drives it: a walker, who turns every other second.",
         "wandering3": "Nothing drives it: a walker, who turns every other second.",
+        "odometry": "What a tick is in metres, and the track, are to be measured.",
         "strapdown": "The two densities stand on the IMU's data sheet (per root hertz).",
     }.get(model, "How noisy its motion is: `kedge tune` finds it from the log.")
     yield f"# {why} `kedge list vehicles` shows all."
     yield from ("[vehicle]", f'model = "{model}"', f"parameters = {{ {parameters} }}")
     if source is not None:
         yield from ("", "[control]", f'source = "{source}"')
+
+
+def _counted(table: Table) -> Iterator[str]:
+    """How ticks are told, and where they flow over."""
+    yield 'sampling = "counts"'
+    told = np.stack([table.columns["left"], table.columns["right"]])
+    largest = float(np.nanmax(np.abs(told)))
+    if np.any(np.abs(np.diff(told)) > largest / 2):
+        yield f"counter = {2 ** int(np.ceil(np.log2(largest + 1)))}  # they flow over"
 
 
 def _sensor(
@@ -156,6 +176,9 @@ def _sensor(
         )
         yield f"parameters = {{ {', '.join(scatter)} }}  # scatter between readings"
         yield 'robust = { loss = "student" }  # what is far off counts for less'
+    if "range" in table.columns:
+        yield "# mount = { x = 0.0, y = 0.0 }  # where on the vehicle it sits, m: measure it"
+    yield "# latency = 0.0  # s from the event to its stamp; `kedge tune` finds it"
     yield "# gate = 1e-4  # share of good readings to refuse, once the noise is right"
 
 
@@ -167,6 +190,18 @@ def _scatter(values: Float[np.ndarray, " n"], groups: Sequence[str] | None) -> f
     changes = changes[np.isfinite(changes)]
     white = 1.4826 * float(np.median(changes)) / 6**0.5 if len(changes) else 0.0
     return 2 * white
+
+
+def _augmented(raw: RawLog, fused: Mapping[str, set[str]]) -> Iterator[str]:
+    """Errors that last, of instruments that are known for them."""
+    turns = [needs for needs in fused.values() if "heading" in needs]
+    if {"heading"} in turns and PLACE | {"heading"} in turns:
+        yield "# A heading beside poses: its zero may be where the instrument was switched on."
+        yield "heading_bias = { std = 2.0, random_walk = 1e-3 }"
+    # Only receivers tell a dilution of precision.
+    if any("hdop" in raw.tables[name].columns for name in fused if name in raw.tables):
+        yield "# A receiver's errors last for about a minute."
+        yield "gnss_bias = { std = 1.5, random_walk = 0.27, time_constant = 60.0 }"
 
 
 def _prior(
@@ -187,7 +222,8 @@ def _prior(
     if true:
         yield "from_truth = [" + ", ".join(f'"{name}"' for name in true) + "]"
     mean = {}
-    for label, needs in fused.items():
+    # A pose before a heading alone, whose zero may be another.
+    for label, needs in sorted(fused.items(), key=lambda entry: -len(entry[1])):
         table = raw.tables.get(label)
         for name in charts:
             if table is None or name in true or name in mean or name == "attitude":

@@ -12,7 +12,7 @@ from kedge.formats.bag_config import BagConfig
 from kedge.formats.readers import read_log
 from kedge.formats.results import as_toml
 from kedge.formats.sketch_bag import bag_text, sketch_bag
-from kedge.formats.sketch_folder import log_text, sketch_folder
+from kedge.formats.sketch_folder import format_of, log_text, sketch_folder
 from kedge.formats.toml import Strict, quoted, read_toml
 
 RIG, LOG = "rig.toml", "log.toml"
@@ -37,23 +37,27 @@ class FirstRig(NamedTuple):
 
 
 def init(log: Path, out: Path | None) -> FirstRig:
-    """Write a first rig for a bag or a folder of CSV files, and for a folder its ``log.toml``.
+    """Write a first rig for a log, and for a folder of CSV files its ``log.toml``.
 
     Raises:
         DataError: a file is there already, or nothing in the log can be made out.
     """
     if not log.exists():
         raise DataError(f"{log}: no such file or folder")
-    bag = log.is_file() or (log / "metadata.yaml").exists()
+    format = format_of(log) if log.is_file() else None
+    bag = (log.is_file() and format is None) or (log / "metadata.yaml").exists()
     out = out or (log.parent if log.is_file() else log)
-    names = [RIG] if bag or (log / LOG).exists() else [LOG, RIG]
+    names = [RIG] if bag or format or (log / LOG).exists() else [LOG, RIG]
     for name in names:
         if (out / name).exists():
             raise DataError(f"{out / name}: is there already; remove it, or name another --out")
     out.mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
     title = f"title = {quoted(log.stem)}\n"
-    if bag:
+    if format:
+        raw, source = read_log(str(log), format), str(log)
+        preamble = f"{title}format = {quoted(format)}\n"
+    elif bag:
         topics, others = sketch_bag(log)
         sets = {name: set(topic.columns) for name, topic in topics.items()}
         preamble = title + bag_text(topics, others, is_planar(sets))

@@ -34,7 +34,6 @@ from kedge.formats.times import TimeForm
 from kedge.formats.toml import quoted, read_toml
 from kedge.formats.units import unit_of
 
-
 T = TypeVar("T")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from kedge.core.errors import DataError
 from kedge.formats.bag_messages import Message, open_bag
 from kedge.formats.bag_turns import quaternion_in
-from kedge.formats.guesses import TARGET, Guess, guess, plain
+from kedge.formats.guesses import TARGET, Guess, compassed, guess, plain
 from kedge.formats.sketch_folder import TRUTH
 from kedge.formats.toml import quoted
 
@@ -96,11 +96,15 @@ def _sketched(message: Message, content: Any, times: np.ndarray) -> SketchedTopi
             columns.setdefault("attitude", (way, Guess("attitude", "1", "a quaternion")))
         elif isinstance(value, int | float | np.number) and not isinstance(value, bool):
             guessed = guess(way.replace(".", "_"), None)
+            if guessed and not guessed.name.endswith("_down"):  # messages have no frame "ned"
+                guessed = compassed({way: guessed})[0][way]
             if guessed and len(way) < len(columns.get(guessed.name, (way + "+",))[0]):
                 columns[guessed.name] = way, guessed
     if target and "range" in columns:  # where the target is, if anything
         columns = {n: c for n, c in columns.items() if not n.startswith("position_")}
-    if "speed" in columns and "position_x" in columns:
+    if TRUTH[0].search(plain(message.topic)) and "position_x" in columns:
+        columns = {n: c for n, c in columns.items() if "twist" not in c[0]}
+    elif "speed" in columns and "position_x" in columns:
         # The pose of an odometry is its twist, integrated.
         columns = {n: c for n, c in columns.items() if "twist" in c[0]}
         turn = columns.pop("angular_rate_z", None)

@@ -15,24 +15,30 @@ from kedge.formats.cells import Cells, read_cells
 from kedge.formats.guesses import (
     TARGET,
     TIME,
+    TURNING,
     Guess,
     compassed,
+    counts_from_north,
     guess,
+    in_one_unit,
     plain,
+    ticks,
     time_unit,
     weighed,
 )
 from kedge.formats.tables import build_table, check_order
+from kedge.formats.times import DATED
 from kedge.formats.toml import quoted
 
 ENDINGS = (".csv", ".csv.gz", ".tsv", ".txt", ".txt.gz")
 TRUTH = (
-    re.compile(r"(^|_)(gt|truth|ground_?truth|reference|ref|mocap|vicon|rtk)($|_)"),
+    re.compile(r"(^|_)(gt|truth|ground_?truth|reference|ref|referenz|mocap|vicon|rtk)($|_)"),
     re.compile(r"(^|_)trajectory($|_)"),
 )
 """What a truth is called; the second only if nothing is called by the first."""
+FORMATS = {".nmea": "nmea", ".ubx": "ublox", ".gpx": "gpx"}
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
-ANGLES = ("roll", "pitch", "heading")
+BODY = ("velocity_body", "angular_rate", "specific_force")
 SAMPLE = 2000
 """Rows that a guess is made from."""
 
@@ -48,10 +54,26 @@ class SketchedSource(NamedTuple):
     columns: dict[str, Guess]
     attitude: tuple[str, ...]
     """The columns of roll, pitch and heading, in this order; none without all three."""
-    ned: bool
+    ned: str
+    """Why its frame is north-east-down; "" if it is not."""
     unknown: tuple[str, ...]
     places: dict[str, dict[str, float]]
     """Where each target is, if the readings tell it."""
+
+    @property
+    def is_body(self) -> bool:
+        """Whether it tells of the body, whose axes have no names: forward, right, down?"""
+        names = {guessed.name for guessed in self.columns.values()}
+        return "heading" in names or any(name.startswith(BODY) for name in names)
+
+
+class SketchedMap(NamedTuple):
+    """A file of places of targets."""
+
+    name: str
+    file: str
+    id: str
+    columns: dict[str, Guess]
 
 
 class SketchedLog(NamedTuple):
@@ -61,6 +83,9 @@ class SketchedLog(NamedTuple):
     skipped: dict[str, str]
     """File -> why it was left out."""
     truth: str | None
+    maps: dict[str, SketchedMap] = {}
+    files: dict[str, str] = {}
+    """Files of other formats -> the format."""
 
 
 def sketch_folder(folder: Path, out: Path) -> SketchedLog:
@@ -71,15 +96,21 @@ def sketch_folder(folder: Path, out: Path) -> SketchedLog:
     """
     sources: dict[str, SketchedSource] = {}
     skipped: dict[str, str] = {}
+    maps: dict[str, SketchedMap] = {}
+    files: dict[str, str] = {}
     for path in sorted(folder.iterdir()):
+        file = os.path.relpath(path.absolute(), out.absolute())
+        if path.is_file() and (other := format_of(path)):
+            files[file] = other
         if not path.is_file() or not path.name.endswith(ENDINGS):
             continue
         try:
-            source = _sketched(path, os.path.relpath(path.absolute(), out.absolute()))
+            sketched = _sketched(path, file)
         except DataError as error:
             skipped[path.name] = str(error).removeprefix(f"{path}").lstrip(": ")
         else:
-            sources[source.name] = source
+            known = maps if isinstance(sketched, SketchedMap) else sources
+            known[sketched.name] = sketched
     if not sources:
         why = "".join(f"\n{name}: {reason}" for name, reason in skipped.items())
         raise DataError(f"{folder}: found no table with a header and a column of times{why}")
@@ -89,7 +120,17 @@ def sketch_folder(folder: Path, out: Path) -> SketchedLog:
         for name in _other_runs(sources, runs):
             why = f"of another run; there are {len(runs)}, and this is that of {truths[0]}"
             skipped[Path(sources.pop(name).file).name] = why
-    return SketchedLog(sources, skipped, truths[0] if truths else None)
+    if ned := next((name for name, source in sources.items() if source.ned), ""):
+        why = f"as {ned} is: look whether it is true"
+        for name, source in sources.items():
+            if source.is_body and not source.ned:
+                sources[name] = source._replace(ned=why)
+    return SketchedLog(sources, skipped, truths[0] if truths else None, maps, files)
+
+
+def format_of(path: Path) -> str | None:
+    """The format of one file that is neither a table nor a bag, by the end of its name."""
+    return FORMATS.get(path.suffix.lower())
 
 
 def _truths(sources: Mapping[str, SketchedSource]) -> list[str]:
@@ -118,46 +159,53 @@ def _other_runs(sources: Mapping[str, SketchedSource], runs: Sequence[str]) -> l
     return [f"{k}{n}" for k, ns in by_kind.items() if ns == numbers for n in ns - {first}]
 
 
-def _sketched(path: Path, file: str) -> SketchedSource:
+def _sketched(path: Path, file: str) -> SketchedSource | SketchedMap:
     cells = read_cells(path)
     numbers = {column: _numbers(cells, column) for column in cells.columns}
+    dates = [c for c in numbers if DATED.fullmatch(cells.text(c)[0])]
     times = [c for c, v in numbers.items() if v is not None and TIME.match(plain(c))]
+    times = dates or times
+    stem = re.sub(r"\W+", "_", re.sub(r"\.(csv|tsv|txt)(\.gz)?$", "", path.name)).strip("_")
+    targets = [c for c in numbers if TARGET.match(plain(c))]
+    columns = _guessed(cells, {c: v for c, v in numbers.items() if c not in (*times, *targets)})
     if not times:
+        places = {c: g for c, g in columns.items() if g.name.startswith("position_")}
+        if targets and len(places) > 1:
+            return SketchedMap(stem, file.removesuffix(".gz"), targets[0], places)
         words = " ".join(numbers).split()
         if 2 * sum(NUMBER.fullmatch(word) is not None for word in words) > len(words):
             raise DataError(f"{path}:1: found numbers, expected a line with the columns' names")
         raise DataError(f"{path}: found no column of times; there are {', '.join(numbers)}")
-    targets = [c for c in numbers if TARGET.match(plain(c))]
-    guesses: dict[str, tuple[str, Guess]] = {}
-    unknown = []
-    for column, values in numbers.items():
-        guessed = None
-        if column not in times and column not in targets and values is not None:
-            guessed = guess(column, values)
-        # Of two columns that mean the same, the one with the shorter name is what is meant.
-        if guessed and len(column) < len(guesses.get(guessed.name, (column + "+",))[0]):
-            guesses[guessed.name] = column, guessed
-    columns = dict(guesses.values())
-    columns = weighed(columns, {c: v for c in columns if (v := numbers[c]) is not None})
-    columns, ned = compassed(columns)
+    if "dvl" in stem.lower():
+        columns = {
+            c: g._replace(name=g.name.replace("velocity_", "velocity_body_"))
+            if re.fullmatch("velocity_[xyz]", g.name)
+            else g
+            for c, g in columns.items()
+        }
+    columns, down = compassed(columns)
+    ned = "a column is told downwards" if down else ""
+    if not ned and counts_from_north(columns, _of(numbers, columns)):
+        ned = "its heading counts from north to the right, by where the vehicle goes"
+        swapped = {"position_x": "position_y", "position_y": "position_x"}
+        columns = {c: g._replace(name=swapped.get(g.name, g.name)) for c, g in columns.items()}
     angles = {guessed.name: column for column, guessed in columns.items()}
-    attitude = tuple(angles[name] for name in ANGLES) if angles.keys() >= {*ANGLES} else ()
+    attitude = tuple(angles[name] for name in TURNING) if angles.keys() >= {*TURNING} else ()
     unknown = [c for c in numbers if c not in columns and c not in (times[0], *targets[-1:])]
     measured = {guessed.name for guessed in columns.values()}
     target = targets[-1] if targets and measured & {"range", "bearing"} else None
     places = _places(cells, target, columns) if target and "range" in measured else {}
     if places:  # the places of the targets, not of the vehicle
         columns = {c: g for c, g in columns.items() if not g.name.startswith("position_")}
-    stem = re.sub(r"\W+", "_", re.sub(r"\.(csv|tsv|txt)(\.gz)?$", "", path.name)).strip("_")
     first = numbers[times[0]]
-    unit = time_unit(times[0], np.zeros(1) if first is None else first)
+    unit = "s" if dates or first is None else time_unit(times[0], first)
     specs = {column: (guessed.name, guessed.unit) for column, guessed in columns.items()}
     check_order(build_table(cells, stem, times[0], unit, specs, target), times[0])
     return SketchedSource(
         stem,
         file.removesuffix(".gz"),
         times[0],
-        unit,
+        "" if dates else unit,
         target,
         columns,
         attitude,
@@ -167,12 +215,41 @@ def _sketched(path: Path, file: str) -> SketchedSource:
     )
 
 
+def _guessed(
+    cells: Cells, numbers: Mapping[str, Float[np.ndarray, " n"] | None]
+) -> dict[str, Guess]:
+    """What each column of numbers may be; of two that mean the same, the shorter name."""
+    guesses: dict[str, tuple[str, Guess]] = {}
+    for column, values in numbers.items():
+        unit = cells.units.get(column)
+        guessed = None
+        if values is not None:
+            guessed = guess(f"{column} [{unit}]" if unit else column, values)
+        if guessed and len(column) < len(guesses.get(guessed.name, (column + "+",))[0]):
+            guesses[guessed.name] = column, guessed
+    columns = dict(guesses.values())
+    named = {guessed.name: column for column, guessed in columns.items()}
+    if "speed" in named and not named.keys() & {"yaw_rate", "angular_rate_x"}:
+        turn = named.get("angular_rate_z")  # all that a vehicle in the plane has of a gyroscope
+        columns |= {turn: columns[turn]._replace(name="yaw_rate")} if turn else {}
+    told = _of(numbers, columns)
+    return ticks(in_one_unit(weighed(columns, told)), told)
+
+
+def _of(
+    numbers: Mapping[str, Float[np.ndarray, " n"] | None], columns: Mapping[str, Guess]
+) -> dict[str, Float[np.ndarray, " n"]]:
+    return {c: values for c in columns if (values := numbers[c]) is not None}
+
+
 def _numbers(cells: Cells, column: str) -> Float[np.ndarray, " n"] | None:
+    """The first numbers of a column, NaN where one is missing or none; None if it is text."""
+    some = {name: text[:SAMPLE] for name, text in cells.columns.items()}
     try:
-        text = cells.columns[column][:SAMPLE]
-        return np.array([float(cell or "nan") for cell in text])
-    except ValueError:
+        values = cells._replace(columns=some).numbers(column, not_finite="reject")
+    except DataError:
         return None
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def _places(
@@ -193,12 +270,18 @@ def log_text(log: SketchedLog, title: str) -> str:
     lines = [f"title = {quoted(title)}"]
     if log.truth:
         lines.append(f"truth = {quoted(log.truth)}  # by its name")
+    if log.files:
+        pairs = ", ".join(
+            f"{quoted(file)} = {quoted(name)}" for file, name in log.files.items()
+        )
+        lines.append(f"files = {{ {pairs} }}  # their sources go with those below")
     for source in log.sources.values():
         lines += ["", f"[sources.{source.name}]", f"file = {quoted(source.file)}"]
         lines += [f"time = {quoted(source.time)}"]
-        lines += [f'time_unit = "{source.time_unit}"  # by how large the numbers are']
+        if source.time_unit:
+            lines += [f'time_unit = "{source.time_unit}"  # by how large the numbers are']
         lines += [f"target = {quoted(source.target)}"] if source.target else []
-        lines += ['frame = "ned"  # a velocity is told downwards'] if source.ned else []
+        lines += [f'frame = "ned"  # {source.ned}'] if source.ned else []
         if source.attitude:
             names = ", ".join(map(quoted, source.attitude))
             unit = source.columns[source.attitude[0]].unit
@@ -212,6 +295,12 @@ def log_text(log: SketchedLog, title: str) -> str:
             lines.append(f"{quoted(column)} = {what}  # {guessed.why}")
         if source.unknown:
             lines.append(f"# not used: {', '.join(source.unknown)}")
+    for targets in log.maps.values():
+        lines += ["", f"[maps.{targets.name}]", f"file = {quoted(targets.file)}"]
+        lines += [f"id = {quoted(targets.id)}", "", f"[maps.{targets.name}.columns]"]
+        for column, guessed in targets.columns.items():
+            what = f'{{ unit = "{guessed.unit}", name = "{guessed.name}" }}'
+            lines.append(f"{quoted(column)} = {what}  # {guessed.why}")
     places = {k: v for s in log.sources.values() for k, v in s.places.items()}
     if places:
         axes = list(next(iter(places.values())))

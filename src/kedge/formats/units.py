@@ -64,7 +64,8 @@ TIME_UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 def unit_of(text: str) -> tuple[str, float]:
     """SI unit and factor of a unit, or of a product with powers: ``(rad/s)^2``, ``m^2/s^4``.
 
-    The sign of degrees is ``deg``. Products come out in one spelling, so that two which are the same unit are the same text.
+    The sign of degrees is ``deg``. Products come out in one spelling, so that two which are
+    the same unit are the same text.
 
     Raises:
         DataError: it is none.
