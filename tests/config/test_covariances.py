@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 import kedge
+from kedge.config.covariances import read_covariances
 from kedge.config.problem import load_problem
+from kedge.config.rigs import SensorConfig
 from kedge.core.errors import DataError
+from kedge.core.manifolds import space_of
+from kedge.formats.logs import write_log
+from kedge.formats.readers import read_log
 
 RIG = """\
 [vehicle]
@@ -94,3 +99,41 @@ def test_only_the_product_of_the_units_is_a_covariance(tmp_path, unit):
     with pytest.raises(DataError, match=r"column 'a': found unit .* expected 'm.2'") as caught:
         problem(tmp_path, COVARIANCE, "0.3,0,0.3", unit)
     assert ("deviations belong in std" in str(caught.value)) == (unit in ("m", "mm"))
+
+
+@pytest.mark.parametrize("model", ["gnss", "gnss3", "pose"])
+def test_covariances_of_ned_are_turned_as_their_readings_are(model, tmp_path):
+    """The covariance of readings in NED comes out as that of the same readings in ENU."""
+    cls = kedge.make_sensor(model).measures
+    labels, units = space_of(cls).labels, space_of(cls).units
+    mixed = np.random.default_rng(0).normal(size=(3, 3))[: len(labels), : len(labels)]
+    noise = 0.1 * np.random.default_rng(1).normal(size=(50, len(labels))) @ mixed
+    above = list(zip(*np.triu_indices(len(labels)), strict=True))
+    names = [f"c{row}{column}" for row, column in above]
+    products = [f"({units[row]})*({units[column]})" for row, column in above]
+    told = {n: f"{np.cov(noise.T)[at]:.17g}" for n, at in zip(names, above, strict=True)}
+    missing = dict.fromkeys(names, "0") | {"c00": "-1"}
+    (tmp_path / "gnss.csv").write_text(
+        "\n".join(
+            [
+                ",".join(["time", *labels, *names]),
+                *(
+                    ",".join([str(at), *map(str, row), *(told if at else missing).values()])
+                    for at, row in enumerate(noise)
+                ),
+            ]
+        )
+    )
+    columns = dict(zip([*labels, *names], [*units, *products], strict=True))
+    said = ", ".join(f'{name} = "{unit}"' for name, unit in columns.items())
+    (tmp_path / "log.toml").write_text(f'frame = "ned"\nsources.gnss.columns = {{ {said} }}\n')
+    table = read_log(str(tmp_path)).tables["gnss"]
+    measured = {label: table.columns[label] for label in labels}
+    spec = SensorConfig(model=model, covariance=names)
+    found = np.asarray(read_covariances(spec, "gnss", table, cls, measured, []))
+    oracle = np.cov(np.stack(list(measured.values())))
+    np.testing.assert_allclose(found[1], oracle, rtol=1e-12)
+    assert found[0, 0, 0] == -1.0  # the reading is not there, in any frame
+    assert not np.allclose(oracle, np.cov(noise.T))
+    with pytest.raises(DataError, match="found covariances of frame 'ned'"):
+        write_log(tmp_path / "again", read_log(str(tmp_path)))

@@ -16,10 +16,10 @@ from jaxtyping import Array, Float
 from kedge.config.columns import find_columns
 from kedge.config.rigs import SensorConfig
 from kedge.core.errors import ConfigError, DataError
-from kedge.core.manifolds import space_of
+from kedge.core.manifolds import Space, space_of
 from kedge.estimation.reading import NO_COMPONENT, NO_READING
 from kedge.formats.tables import Table
-from kedge.formats.units import product_of
+from kedge.formats.units import axis_in_enu, product_of
 
 
 def read_covariances(
@@ -102,7 +102,29 @@ def _from_triangle(
                 f"{hint}"
             )
         cov[:, row, column] = cov[:, column, row] = _known(values)
+    if table.ned & set(spec.covariance or ()):
+        turn = _ned_to_enu(space, name, table)
+        absent = cov[:, :1, :1] == NO_READING  # which stands first in any frame
+        cov = np.where(absent, cov, turn @ cov @ turn.T)
     return cov
+
+
+def _ned_to_enu(space: Space, name: str, table: Table) -> Float[np.ndarray, "m m"]:
+    """What turns a measurement's errors from NED to ENU: each row has one 1 or -1.
+
+    Raises:
+        DataError: a component is an attitude's, or has none to change places with.
+    """
+    turn = np.zeros((space.size, space.size))
+    for at, (label, unit) in enumerate(zip(space.labels, space.units, strict=True)):
+        inside, sign = axis_in_enu(table.path, label, unit)
+        if inside not in space.labels:
+            raise DataError(
+                f"{table.path}: sensors.{name}.covariance: {label} of frame 'ned' is {inside} "
+                f"inside, which is not measured; write the log in 'enu'"
+            )
+        turn[space.labels.index(inside), at] = sign
+    return turn
 
 
 def _known(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

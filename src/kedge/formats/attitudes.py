@@ -120,7 +120,7 @@ def all_to_enu(
     """Bring all columns of a NED source to ENU: values and units by their names there.
 
     Raises:
-        DataError: a column is a covariance.
+        DataError: a column is a part of a quaternion whose others are not there.
     """
     names = {name: [f"{name[:-1]}{axis}" for axis in "wxyz"] for name in columns}
     whole = [parts for name, parts in names.items() if name.endswith("_w")]

@@ -32,7 +32,7 @@ from kedge.formats.tables import (
 )
 from kedge.formats.times import TimeForm
 from kedge.formats.toml import quoted, read_toml
-from kedge.formats.units import unit_of
+from kedge.formats.units import is_covariance, unit_of
 
 T = TypeVar("T")
 
@@ -129,6 +129,10 @@ def write_log(folder: Path, raw: RawLog) -> None:
     with fresh_folder(folder) as draft:
         for name, table in tables.items():
             file = _file_name(folder, name)
+            if table.ned:
+                raise DataError(
+                    f"{folder}: {name}: found covariances of frame 'ned', expected 'enu'"
+                )
             body = [f"file = {quoted(file)}", 'time = "time"', 'time_unit = "ns"']
             body += [f"target = {quoted(text)}" for text in table.texts]
             infinite = any(np.isinf(values).any() for values in table.columns.values())
@@ -199,7 +203,8 @@ def _read_source(
         table = table._replace(columns=others | attitude, units=units)
     if frame == "ned":
         columns, units = all_to_enu(table.path, table.columns, table.units)
-        table = table._replace(columns=columns, units=units)
+        ned = frozenset(column for column, unit in units.items() if is_covariance(unit))
+        table = table._replace(columns=columns, units=units, ned=ned)
     return table
 
 

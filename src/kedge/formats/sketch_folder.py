@@ -109,8 +109,10 @@ def sketch_folder(folder: Path, out: Path) -> SketchedLog:
         except DataError as error:
             skipped[path.name] = str(error).removeprefix(f"{path}").lstrip(": ")
         else:
-            known = maps if isinstance(sketched, SketchedMap) else sources
-            known[sketched.name] = sketched
+            if isinstance(sketched, SketchedMap):
+                maps[sketched.name] = sketched
+            else:
+                sources[sketched.name] = sketched
     if not sources:
         why = "".join(f"\n{name}: {reason}" for name, reason in skipped.items())
         raise DataError(f"{folder}: found no table with a header and a column of times{why}")

@@ -36,6 +36,8 @@ class Table(NamedTuple):
     """Line of each row in the file."""
     units: dict[str, str]
     """SI unit of each column."""
+    ned: frozenset[str] = frozenset()
+    """Covariances that are still of north, east, down: only a rig knows of what they are."""
 
     def column(self, name: str) -> Float[np.ndarray, " n"]:
         """A column of numbers.

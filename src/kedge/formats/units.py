@@ -11,7 +11,8 @@ says how it is brought to ENU:
 * ``yaw_rate``, ``bearing``, ``steering`` and ``pitch`` change their signs;
 * ``NAME_w`` to ``NAME_z`` is a quaternion, turned as a whole
   (:func:`kedge.formats.attitudes.from_ned`);
-* everything else stays; covariances are refused.
+* everything else stays. So do covariances, which know their components only in a rig:
+  :func:`is_covariance` tells them, and who reads them turns them by :func:`axis_in_enu`.
 """
 
 import math
@@ -154,15 +155,32 @@ def nanoseconds(number: Decimal, power: int) -> int:
     return round(number.scaleb(power))
 
 
+def is_covariance(unit: str) -> bool:
+    """Whether it is a product of units, as covariances have it."""
+    return "^2" in unit.replace("s^2", "") or "*" in unit
+
+
+def axis_in_enu(path: Path, name: str, unit: str) -> tuple[str, float]:
+    """Which component an NED component is in ENU, and its sign there.
+
+    Raises:
+        DataError: it is a part of an attitude.
+    """
+    inside, (zero, one) = to_enu(path, name, unit, np.array([0.0, 1.0]))
+    return inside, float(np.sign(one - zero))
+
+
 def to_enu(
     path: Path, name: str, unit: str, values: Float[np.ndarray, " n"]
 ) -> tuple[str, Float[np.ndarray, " n"]]:
     """Bring one NED column to ENU: its name there and its values.
 
     Raises:
-        DataError: it is a covariance or a part of a quaternion, which one column cannot tell.
+        DataError: it is a part of a quaternion, which one column cannot tell.
     """
-    if "attitude" in name or "^2" in unit.replace("s^2", "") or "*" in unit:
+    if is_covariance(unit):
+        return name, values
+    if "attitude" in name:
         raise DataError(
             f"{path}: column {name!r}: cannot be converted from frame 'ned'; write it in 'enu'"
         )
