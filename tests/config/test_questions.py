@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from kedge.config.questions import odd_angles, odd_clocks, odd_ranges
+from kedge.config.questions import odd_angles, odd_clocks, odd_log, odd_ranges, odd_spans
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import TargetMap
+from kedge.formats.tables import table_of
 
 ANCHORS = TargetMap(
     ("a", "b"), {"position_x": np.array([0.0, 3.0]), "position_y": np.array([0.0, 4.0])}
@@ -48,3 +49,31 @@ def test_a_clock_that_is_off_by_seconds(begin, end, asked):
     stamps = np.linspace(begin * SECOND, (59.9 + end) * SECOND, 600).astype(np.int64)
     found = list(odd_clocks(control, {"gnss": stamps}))
     assert [asked in text for text in found] == [True] * bool(asked)
+
+
+@pytest.mark.parametrize(
+    ("spans", "asked"),
+    [
+        ({"control": 60, "gnss": 59_900}, "gnss: lasts 5.99e+04 s, the others 60 s"),
+        ({"control": 60, "gnss": 61, "truth": 0.06}, "truth: lasts 0.06 s, the others 60 s"),
+        ({"control": 6e4, "gnss": 58, "imu": 60}, "control: lasts 6e+04 s"),
+        ({"control": 60, "gnss": 20}, ""),
+        ({"control": 6000, "gnss": 60}, ""),  # a hundredth: it was switched off
+        ({"control": 60, "gnss": 0}, ""),
+    ],
+)
+def test_a_source_of_another_unit_of_time(spans, asked):
+    stamps = {
+        name: np.linspace(0, span * SECOND, 50).astype(np.int64) for name, span in spans.items()
+    }
+    found = list(odd_spans(stamps))
+    assert [asked in text for text in found] == [True] * bool(asked)
+
+
+@pytest.mark.parametrize("place", [0.0, 2.0])
+def test_a_truth_of_zeros_is_questioned(tmp_path, place):
+    stamps, columns = np.arange(5) * SECOND, {"position_x": (np.zeros(5), "m")}
+    columns["position_y"] = (np.full(5, place), "m")
+    truth = table_of("truth", tmp_path, stamps, columns)
+    found = list(odd_log(np.arange(5) * SECOND, {}, truth))
+    assert ["all its positions are 0" in text for text in found] == [True] * (place == 0)

@@ -18,7 +18,7 @@ from kedge.config.building import (
 )
 from kedge.config.columns import find_columns
 from kedge.config.mounts import with_mounts
-from kedge.config.questions import odd_clocks
+from kedge.config.questions import odd_log
 from kedge.config.readings import (
     find_table,
     join,
@@ -140,7 +140,7 @@ def fitted(
         targets = table.texts[column] if sensor.map else None
         sources[name] = Source(table.stamps, targets, table.lines)
 
-    notes += odd_clocks(control_stamps, {n: s.stamps for n, s in sources.items()})
+    notes += odd_log(control_stamps, {n: s.stamps for n, s in sources.items()}, reference)
     events = [source.stamps for source in stamped.values()]
     every = np.concatenate([control_stamps, *events])
     if len(every) == 0:
@@ -152,7 +152,7 @@ def fitted(
         _check_overlap(poses, start, int(every.max()))
         if poses.stamps[0] > start:
             start = int(poses.stamps[0])
-            notes.append(f"truth begins late; the estimate starts at {start} ns with it")
+            notes.append(f"{poses.name} begins late; the estimate starts at {start} ns with it")
     end = int(every.max())
     if until is not None:
         if not 0 < until < np.inf:

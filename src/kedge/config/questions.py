@@ -7,6 +7,7 @@ from jaxtyping import Float, Int64
 
 from kedge.estimation.log import SECOND
 from kedge.formats.logs import TargetMap
+from kedge.formats.tables import Table
 
 FARTHER = 50.0
 """Times the width of a map beyond which a range is hardly one."""
@@ -41,6 +42,37 @@ def odd_angles(name: str, columns: Mapping[str, Float[np.ndarray, " n"]]) -> Ite
             yield (
                 f"{name}: turns faster than once a second in {100 * share:.0f} % of the log; "
                 "is the yaw rate in deg/s?"
+            )
+
+
+def odd_log(
+    control: Int64[np.ndarray, " n"],
+    sources: Mapping[str, Int64[np.ndarray, " k"]],
+    truth: Table | None,
+) -> Iterator[str]:
+    """What to ask of all sources together: clocks, units of time, a truth of zeros."""
+    yield from odd_clocks(control, sources)
+    reference = {} if truth is None else {"truth": truth.stamps}
+    yield from odd_spans({"control": control, **sources, **reference})
+    places = [v for c, v in truth.columns.items() if c.startswith("position_")] if truth else []
+    if places and len(places[0]) > 1 and not np.any(places):
+        yield "truth: all its positions are 0; is it one that nobody filled in?"
+
+
+def odd_spans(sources: Mapping[str, Int64[np.ndarray, " n"]]) -> Iterator[str]:
+    """Sources that last a thousand times as long as the others do, or a thousandth."""
+    spans = {n: float(np.ptp(s)) / SECOND for n, s in sources.items() if len(s) > 2}
+    spans = {name: span for name, span in spans.items() if span > 0}
+    for name, span in spans.items():
+        others = [other for another, other in spans.items() if another != name]
+        if not others or (len(others) == 1 and name == "control"):
+            continue  # of two, the other one is asked
+        nearest = min(others, key=lambda other: abs(np.log(span / other)))
+        powers = np.log10(span / nearest)
+        if abs(powers) > 2 and abs(powers - 3 * round(powers / 3)) < 0.3:
+            yield (
+                f"{name}: lasts {span:.4g} s, the others {nearest:.4g} s; are its stamps of "
+                "another unit (time_unit)?"
             )
 
 
