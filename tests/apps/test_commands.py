@@ -127,6 +127,17 @@ def test_a_cloud_that_collapsed_is_warned_of(site, kedge):
     assert f"kedge: warning: {text}" in err
 
 
+@pytest.mark.parametrize("command", [["estimate"], ["compare", "--filters", "extended"]])
+def test_without_what_draws_the_report_nothing_is_computed(command, site, kedge, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    name, *more = command
+    code, _, err = kedge(name, site / "rig.toml", site / "log", "--out", site / "out", *more)
+    assert code == 2
+    assert err.splitlines()[-1].startswith("kedge: a report needs matplotlib")
+    assert "scores" not in err
+    assert not (site / "out").exists()
+
+
 def test_compare_puts_filters_side_by_side(site, kedge):
     names = "dead-reckoning,extended,unscented,ensemble:count=60,extended+smoother"
     code, out, err = kedge(

@@ -31,7 +31,7 @@ from kedge.positioning.fix import Fix, Status
 from kedge.positioning.links import Links
 from kedge.positioning.solver import solve_all
 from kedge.reports.fixes import plot_fixes, plot_residuals, residual_rows
-from kedge.reports.page import Front, Plate, write_page
+from kedge.reports.page import Front, Plate, require_studio, write_page
 
 
 class Options(NamedTuple):
@@ -62,6 +62,8 @@ def execute(rig: str, log: str, out: Path, options: Options) -> LocateSummary:
         KedgeError: the rig, the log or an option cannot be used; nothing is left.
     """
     solvers = {name: _solver(name) for name in options.solvers}
+    if options.report:
+        require_studio()
     use_compilation_cache()
     problem = load(rig, log, options.truth, options.until, options.changes)
     heard = epochs_in(problem, options.sensor, options.window)

@@ -28,6 +28,7 @@ from kedge.formats.logs import RawLog
 from kedge.formats.results import as_toml, digest
 from kedge.formats.results_folder import results_folder
 from kedge.reports.findings import principal, said, warnings
+from kedge.reports.page import require_studio
 from kedge.reports.report import ReportContent, write_report
 
 SMOOTHER = "+smoother"
@@ -76,6 +77,8 @@ def execute(
     Raises:
         KedgeError: a filter cannot run, or the folder cannot be written; nothing is left.
     """
+    if report:
+        require_studio()
     use_compilation_cache()
     with results_folder(out, "estimate") as folder, console_progress() as progress:
         runs = run_filters(problem, names, seed, progress)
