@@ -229,3 +229,16 @@ def test_a_file_of_another_format_brings_its_sources(tmp_path):
         log.write_text(said)
         with pytest.raises(DataError, match=message):
             read_log(path)
+
+
+def test_a_covariance_in_a_map_of_ned_is_refused(tmp_path):
+    toml = """[sources.imu]
+columns = { yaw_rate = "deg/s" }
+[maps.posts]
+ids = ["a"]
+frame = "ned"
+values = { position_x = [1.0], xx = [0.1] }
+columns = { position_x = "m", xx = "m^2" }
+"""
+    with pytest.raises(DataError, match="column 'xx': a map's covariance cannot be converted"):
+        read_log(folder(tmp_path, toml, imu="time,yaw_rate\n0,1\n"))

@@ -174,7 +174,7 @@ def test_ned_becomes_enu(path, name, value, inside, turned):
 
 
 def test_what_no_single_column_can_turn_is_refused(path):
-    for name, unit in (("c00", "m^2"), ("c01", "m*rad"), ("attitude_w", "1")):
+    for name, unit in (("attitude_w", "1"), ("attitude_x", "1")):
         with pytest.raises(DataError, match=f"column '{name}': cannot be converted"):
             to_enu(path, name, unit, np.zeros(1))
     assert to_enu(path, "acceleration", "m/s^2", np.ones(1))[0] == "acceleration"

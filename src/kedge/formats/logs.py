@@ -219,6 +219,11 @@ def _read_map(path: Path, spec: MapSource, frame: Frame) -> TargetMap:
         )
         units[name] = unit_of(unit)[0]
     if frame == "ned":
+        if products := [column for column, unit in units.items() if is_covariance(unit)]:
+            raise DataError(
+                f"{path}: column {products[0]!r}: a map's covariance cannot be converted from "
+                "frame 'ned'; write it in 'enu'"
+            )
         columns, units = all_to_enu(path, columns, units)
     return checked_map(f"{path}", ids, columns, units)
 
