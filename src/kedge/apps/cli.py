@@ -92,7 +92,10 @@ def estimate(
     rig: Rig,
     log: Source,
     out: Out,
-    filter: Annotated[str | None, typer.Option(help="Instead of the rig's own.")] = None,
+    filter: Annotated[
+        str | None,
+        typer.Option(help="Instead of the rig's own; NAME+map: the most probable trajectory."),
+    ] = None,
     smooth: Annotated[bool, typer.Option("--smooth", help="Smooth it as well.")] = False,
     truth: Truth = "auto",
     until: Until = None,
@@ -120,7 +123,11 @@ def compare(
     log: Source,
     out: Out,
     filters: Annotated[
-        str, typer.Option(help="Names with commas between; NAME+smoother smooths.")
+        str,
+        typer.Option(
+            help="Names with commas between; NAME+smoother smooths, NAME+map is the most "
+            "probable trajectory."
+        ),
     ] = "dead-reckoning,extended,unscented,extended+smoother",
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every filter that can be.")

@@ -38,7 +38,7 @@ def write_results(
         if hasattr(track.mean, "position"):
             turn = getattr(track.mean, "heading", getattr(track.mean, "attitude", None))
             write_tum(folder / f"estimate{suffix}.tum", track.stamps, track.mean.position, turn)
-        if not run.name.endswith("+smoother"):
+        if not run.name.endswith(("+smoother", "+map")):
             _write_sensor_verdicts(folder, suffix, problem, run)
 
 

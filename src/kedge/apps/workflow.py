@@ -20,6 +20,7 @@ from kedge.config.rigs import load_rig_config
 from kedge.core.errors import ConfigError
 from kedge.estimation.batch import Estimates, compile_estimate
 from kedge.estimation.compilation_cache import use_compilation_cache
+from kedge.estimation.most_probable import most_probable
 from kedge.estimation.smoother import compile_smoother
 from kedge.estimation.transition import is_smoothable
 from kedge.evaluation.score import Run, in_the_map, score
@@ -31,7 +32,7 @@ from kedge.reports.findings import principal, said, warnings
 from kedge.reports.page import require_studio
 from kedge.reports.report import ReportContent, write_report
 
-SMOOTHER = "+smoother"
+SMOOTHER, MAP = "+smoother", "+map"
 BASELINE = "dead-reckoning"
 
 
@@ -94,7 +95,9 @@ def execute(
 def run_filters(
     problem: Problem, names: Sequence[str], seed: int, progress: Callable[[str], None]
 ) -> list[Run]:
-    """Run every filter named over the log; ``NAME+smoother`` is the smoothed pass of NAME.
+    """Run every filter named over the log.
+
+    ``NAME+smoother`` is the smoothed pass of NAME, ``NAME+map`` the most probable trajectory.
 
     Raises:
         ConfigError: a name stands twice, or is no filter.
@@ -102,12 +105,23 @@ def run_filters(
     """
     if len(set(names)) < len(names):
         raise ConfigError(f"filters: {','.join(names)}: found a name twice, expected each once")
-    filters = {name: build_filter(name.removesuffix(SMOOTHER)) for name in names}
+    filters = {name: build_filter(_filter_of(name)) for name in names}
     done: dict[str, tuple[Estimates, Any, float]] = {}
     runs = []
     for name, chosen in filters.items():
-        base = name.removesuffix(SMOOTHER)
+        base = _filter_of(name)
         keep = f"{base}{SMOOTHER}" in filters
+        if name.endswith(MAP):
+            progress(f"{name}: compiling")
+            likely = most_probable(
+                chosen,
+                problem.rig,
+                problem.recording,
+                jr.key(seed),
+                lambda text, name=name: progress(f"{name}: {text}"),
+            )
+            done[name] = likely.estimates, None, likely.seconds
+            base = name
         if base not in done:
             progress(f"{base}: compiling")
             call = compile_estimate(
@@ -137,9 +151,13 @@ def run_filters(
     return _against_baseline(runs)
 
 
+def _filter_of(name: str) -> str:
+    return name.removesuffix(SMOOTHER).removesuffix(MAP)
+
+
 def with_smoothers(names: Sequence[str]) -> list[str]:
     """The filters, and behind them the smoothed passes of those that can be smoothed."""
-    plain = [name for name in names if not name.endswith(SMOOTHER)]
+    plain = [name for name in names if not name.endswith((SMOOTHER, MAP))]
     smoothed = [f"{name}{SMOOTHER}" for name in plain if is_smoothable(build_filter(name))]
     return list(dict.fromkeys([*names, *smoothed]))
 

@@ -278,6 +278,11 @@ class AbstractFilter(eqx.Module, Generic[B]):
         """Whether it leaves the states uncorrected that are to be considered only."""
         return False
 
+    def weighing(self, loss: Any) -> "AbstractFilter[B] | None":
+        """Itself with a sensor's robust loss built in; None if the driver is to wrap it."""
+        del loss
+        return None
+
     def trusting(self) -> "AbstractFilter[B]":
         """The filter for the same beliefs without its gates and robust losses."""
         return self

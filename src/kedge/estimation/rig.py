@@ -64,7 +64,13 @@ class Installation(eqx.Module):
             raise ContractError(f"sensor {self.name!r}: latency is {self.latency}, not finite")
 
     def judged(self, filter: AbstractFilter) -> AbstractFilter:
-        """The filter with the sensor's robust loss and its gate around it."""
+        """The filter with the sensor's robust loss and its gate around it.
+
+        A filter that weighs by itself takes a gate without a loss for a Student-t.
+        """
+        loss = Loss() if self.robust is None and self.gate is not None else self.robust
+        if (weighing := filter.weighing(loss)) is not None:
+            return weighing
         recovery = RECOVERY if self.recovery is None else self.recovery
         if self.robust is not None:
             loss = self.robust

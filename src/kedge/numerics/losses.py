@@ -65,16 +65,48 @@ class Loss(eqx.Module):
         self, residual: Float[Array, " m"], cov: Float[Array, "m m"], dof: Int[Array, ""] | int
     ) -> Float[Array, ""]:
         """What R is multiplied by for a residual whose covariance is ``cov``."""
-        if self.side == "positive":
-            residual = jnp.maximum(residual, 0.0)
-        if self.side == "negative":
-            residual = jnp.minimum(residual, 0.0)
-        white = solve_lower(cholesky(cov), residual)
-        squared = white @ white
-        tuning = TUNING[self.kind] if self.tuning is None else self.tuning
+        squared, tuning = self._squared(residual, cov), self._tuning()
         if self.kind == "student":
             return jnp.maximum((tuning + squared) / (tuning + dof), 1.0)
         ratio = squared / jnp.asarray(tuning) ** 2
         if self.kind == "huber":
             return jnp.sqrt(jnp.maximum(ratio, 1.0))
         return 1 + ratio if self.kind == "cauchy" else (1 + ratio) ** 2
+
+    def cost(
+        self, residual: Float[Array, " m"], cov: Float[Array, "m m"], dof: Int[Array, ""] | int
+    ) -> Float[Array, ""]:
+        r"""What the residual adds to the sum that is least at the most probable states.
+
+        $\rho(d^2)$ with $\rho' = 1 / $ :meth:`factor` and $\rho(0) = 0$; without outliers it is
+        $d^2$. Components on the side that is not weighed count as they are.
+        """
+        squared, tuning = self._squared(residual, cov), self._tuning()
+        white = solve_lower(cholesky(cov), residual)
+        as_they_are = white @ white - squared
+        scale = jnp.asarray(tuning) ** 2
+        if self.kind == "student":
+            beyond = (tuning + dof) * jnp.log((tuning + squared) / (tuning + dof))
+            weighed = jnp.where(squared <= dof, squared, dof + beyond)
+        elif self.kind == "huber":
+            weighed = jnp.where(
+                squared <= scale, squared, 2 * jnp.sqrt(scale * squared) - scale
+            )
+        elif self.kind == "cauchy":
+            weighed = scale * jnp.log1p(squared / scale)
+        else:
+            weighed = squared / (1 + squared / scale)
+        return weighed + as_they_are
+
+    def _tuning(self) -> Scalar:
+        return TUNING[self.kind] if self.tuning is None else self.tuning
+
+    def _squared(
+        self, residual: Float[Array, " m"], cov: Float[Array, "m m"]
+    ) -> Float[Array, ""]:
+        if self.side == "positive":
+            residual = jnp.maximum(residual, 0.0)
+        if self.side == "negative":
+            residual = jnp.minimum(residual, 0.0)
+        white = solve_lower(cholesky(cov), residual)
+        return white @ white

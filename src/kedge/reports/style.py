@@ -176,7 +176,7 @@ def is_baseline(name: str) -> bool:
 
 def is_smoother(name: str) -> bool:
     """Whether a run saw the whole log before it spoke."""
-    return "smooth" in name.lower()
+    return "smooth" in name.lower() or name.endswith("+map")
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
