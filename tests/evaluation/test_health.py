@@ -61,7 +61,9 @@ def test_particles_that_explain_nothing_are_a_status():
     assert found.effective_size.min == 0
     assert 0 < found.effective_size.median <= 50
     assert np.isfinite(estimates.moments.cov).all()
-    left_out, luck = concerns("particle", found, verdicts(estimates))
+    widened, left_out, luck = concerns("particle", found, verdicts(estimates))
+    assert found.repairs == 1
+    assert "at 1 readings the particles were resampled into so few places" in widened
     assert "no particle explained 1 of 4 readings" in left_out
     assert "at 1 readings one particle carried nearly all" in luck
 
