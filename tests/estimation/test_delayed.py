@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from kedge.core.errors import ContractError, DataError
 from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
-from kedge.estimation.delayed import Entry, Event, State, Window
+from kedge.estimation.delayed import Origin, Window
 from kedge.estimation.online import Estimator, replay
 from kedge.estimation.smoother import smooth
-from kedge.estimation.step import FilterState
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.particle.bootstrap import BootstrapParticle
 from kedge.sensors.gnss import Measurement
@@ -200,11 +199,11 @@ def test_no_smoothing_without_a_gaussian(rig, key):
 
 def test_an_event_at_the_time_of_one_forgotten_is_too_late():
     """Where memory ends before the lag does; the start itself has nothing before it."""
-    start = State(FilterState(None), 0.0, None)
-    window = Window(start, lag=10.0, capacity=1)
-    assert not window.too_late(0.0)
-    for number, time in enumerate((1.0, 2.0), start=1):
-        after = State(FilterState(None, predictions=number), time, None)
-        window.replace(len(window.entries), [Entry(Event(time, 0, 0), after, None, None)])
-    assert window.too_late(1.0)
-    assert not window.too_late(1.1)
+    words, row = np.zeros(1), np.array([(-1,)], [("sensor", int)])
+    window = Window(Origin(0, words, words), lag=10, capacity=1)
+    assert not window.too_late(0)
+    for time in (1, 2):
+        window.append((time, 0, 0), row, None, words)
+        window.forget()
+    assert window.too_late(1)
+    assert not window.too_late(2)

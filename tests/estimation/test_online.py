@@ -9,7 +9,7 @@ import pytest
 from kedge.core.errors import ContractError, DataError
 from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
-from kedge.estimation import online
+from kedge.estimation import traced_step
 from kedge.estimation.batch import estimate
 from kedge.estimation.online import Estimator, replay
 from kedge.filters.ensemble.stochastic import EnsembleKalman
@@ -161,13 +161,13 @@ def test_every_program_is_compiled_once(rig, key, monkeypatch):
     monkeypatch.setenv("KEDGE_ENGINE", "xla")
     traced = []
     for name in ("predict_to", "process_measurement"):
-        inner = getattr(online, name)
+        inner = getattr(traced_step, name)
 
         def counted(*arguments, inner=inner, name=name):
             traced.append(name)
             return inner(*arguments)
 
-        monkeypatch.setattr(online, f"_{name}", eqx.filter_jit(counted))
+        monkeypatch.setattr(traced_step, f"_{name}", eqx.filter_jit(counted))
     for std in (0.1, 0.2):
         prior = rig.prior._replace(cov=std * jnp.eye(3))
         estimator = Estimator(ExtendedKalman(), type(rig)(rig.vehicle, rig.sensors, prior), key)

@@ -4,7 +4,8 @@ Its one argument is a block of 64-bit words: how many events, first run, end of 
 whether to start afresh, where the carried numbers are; then for each array that is read its
 address, the distance between runs and the number of rows; then the addresses of those that are
 written. These have the axes group of runs, event, component, run within the group: what a
-register holds lies side by side.
+register holds lies side by side. With a pitch there is one run, and all that an event leaves is
+one row of so many bytes.
 """
 
 from kedge.compiler.graph import Branches, Node, Region, Unsupported
@@ -20,8 +21,10 @@ HEAD = 5
 class Writer:
     """The text of one program for ``lanes`` runs at once."""
 
-    def __init__(self, program: Program, lanes: int, most: int = SHORT.lines):
-        self.program, self.lanes, self.most = program, lanes, most
+    def __init__(
+        self, program: Program, lanes: int, most: int = SHORT.lines, pitch: int | None = None
+    ):
+        self.program, self.lanes, self.most, self.pitch = program, lanes, most, pitch
         self.needed = needed(program)
         self.lines: list[str] = []
         self.declared: set[str] = set()
@@ -204,8 +207,9 @@ class Writer:
     def _outputs(self) -> None:
         for output, base in zip(self.program.outputs, self.out, strict=True):
             size, kind = len(output.nodes), _memory(output.kind)
-            row = self._new(f"mul i64 %event, {size * self.lanes}")
-            start = self._new(f"getelementptr {kind}, ptr {base}, i64 {row}")
+            unit = kind if self.pitch is None else "i8"
+            row = self._new(f"mul i64 %event, {self.pitch or size * self.lanes}")
+            start = self._new(f"getelementptr {unit}, ptr {base}, i64 {row}")
             for place, node in enumerate(output.nodes):
                 at = self._new(f"getelementptr {kind}, ptr {start}, i64 {place * self.lanes}")
                 value, many = self._as(node, True), type_of(output.kind, self.lanes)

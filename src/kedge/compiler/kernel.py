@@ -25,13 +25,19 @@ independent to keep both pipes busy.
 class Kernel:
     """One program as machine code, for one run or for several of one schedule."""
 
-    def __init__(self, program: Program, batched: bool, limits: Limits = SHORT):
+    def __init__(
+        self,
+        program: Program,
+        batched: bool,
+        limits: Limits = SHORT,
+        pitch: int | None = None,
+    ):
         self.lanes = LANES if batched else 1
         self.arguments = program.arguments
         self.outputs = [(o.kind, o.shape) for o in program.outputs]
         self.passed, self.places, self.ends = program.passed, program.places, program.ends
         self.carried = [node.kind for node in program.carried]
-        self.code = compile_text(Writer(program, self.lanes, limits.lines).write())
+        self.code = compile_text(Writer(program, self.lanes, limits.lines, pitch).write())
 
     def fresh(self, events: int, runs: int) -> list[np.ndarray]:
         """Arrays for the results."""

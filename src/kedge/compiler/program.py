@@ -38,6 +38,8 @@ class Argument(NamedTuple):
     """Whether each run has its own."""
     open_ended: bool
     """Whether the number of rows is known only when the program runs."""
+    pitch: int | None = None
+    """Numbers from row to row, where they do not follow each other without a gap."""
 
 
 class Output(NamedTuple):
@@ -98,7 +100,7 @@ def build(
             if argument is None
             else Stored(
                 number, argument.kind, argument.shape, batched and argument.per_run,
-                argument.open_ended,
+                argument.open_ended, pitch=argument.pitch,
             )
         )  # fmt: skip
     loops = [e for e in jaxpr.eqns if e.primitive.name == "scan"]

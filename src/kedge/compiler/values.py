@@ -27,14 +27,16 @@ class Stored:
         per_run: bool,
         open_ended: bool,
         offset: Node | None = None,
+        pitch: int | None = None,
     ):
         self.number, self.kind, self.shape, self.per_run = number, kind, shape, per_run
-        self.open_ended, self.offset = open_ended, offset
+        self.open_ended, self.offset, self.pitch = open_ended, offset, pitch
 
     @property
     def strides(self) -> list[int]:
         """How many numbers lie between neighbours along each axis."""
-        return [int(np.prod(self.shape[i + 1 :], dtype=int)) for i in range(len(self.shape))]
+        strides = [int(np.prod(self.shape[i + 1 :], dtype=int)) for i in range(len(self.shape))]
+        return strides if self.pitch is None else [self.pitch, *strides[1:]]
 
     def load(self, functions: Functions, index: Node, more: int = 0) -> Node:
         """The number ``more`` behind ``index``."""

@@ -6,117 +6,113 @@ right in form and not finite is a fault of a sensor, which a verdict answers.
 
 import math
 import operator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from kedge.core.errors import ContractError, DataError
-from kedge.core.manifolds import space_of
-from kedge.estimation.log import Readings
+from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig
+from kedge.estimation.rows import EventForm, Part
 
 FLOAT = jax.dtypes.canonicalize_dtype(float)
+IS_WIDE = FLOAT == np.float64
+NS = 1 / SECOND
+MOST_NS = 2**62
+"""146 years: no clock of a vehicle runs so long."""
 NO_TARGET = -1
 """On no map; so are numbers that no integer of the machine holds."""
 
 
-class Fields(NamedTuple):
-    """The form of a ``NamedTuple`` of numbers."""
-
-    of: str
-    """Whose they are, for messages."""
-    cls: Any
-    names: tuple[str, ...]
-    shapes: tuple[tuple[int, ...], ...]
-    size: int
-
-    def arrays(self, given: Any) -> Any:
-        """The numbers as arrays of one type, whatever a driver has at hand.
-
-        Raises:
-            ContractError: it is of another class.
-            DataError: a field holds no numbers, or those of another shape.
-        """
-        if type(given) is not self.cls:
-            raise ContractError(
-                f"{self.of}: found {type(given).__name__}, expected {_title(self.cls)}"
-                f"({', '.join(self.names)})"
-            )
-        return self.cls(
-            *(
-                numbers(f"{self.of}: {name}", value, shape)
-                for name, value, shape in zip(self.names, given, self.shapes, strict=True)
-            )
-        )
-
-
 class Admission:
-    """The forms of all that a rig takes in; ``control`` is one as it holds at the start."""
+    """The forms of all that a rig takes in, written into the first of ``rows``."""
 
-    def __init__(self, rig: Rig, control: Any):
-        self._readings = [
-            _fields(f"a reading of {one.name!r}", one.sensor.measures) for one in rig.sensors
-        ]
-        leaves, self._control = jax.tree.flatten(control)
-        self._shapes = [np.shape(leaf) for leaf in leaves]
-        paths = jax.tree_util.tree_leaves_with_path(control)
-        self._names = [jax.tree_util.keystr(path).lstrip(".") for path, _ in paths]
-        self._title = f"{_title(type(control))}({', '.join(self._names)})"
+    def __init__(self, rig: Rig, form: EventForm, rows: np.ndarray, control: Any):
+        self._form = form
+        self._measurement, self._cov, self._control = (
+            rows[name][0] for name in ("measurement", "cov", "control")
+        )
+        self._target, self._has_cov = rows["target"], rows["has_cov"]
+        self._whose = [f"a reading of {one.name!r}" for one in rig.sensors]
+        self._structure = jax.tree.structure(control)
+        names = ", ".join(part.name for part in form.controls)
+        self._title = f"{_title(type(control))}({names})"
 
-    def reading(self, rank: int, measurement: Any, target: Any, cov: Any) -> Readings:
+    def reading(self, rank: int, measurement: Any, target: Any, cov: Any) -> None:
         """One reading of the sensor of that rank.
 
         Raises:
             ContractError: the measurement is that of another sensor.
             DataError: it, its target or its covariance has another form.
         """
-        form = self._readings[rank]
+        form, of = self._form, self._whose[rank]
+        if type(measurement) is not form.measures[rank]:
+            names = ", ".join(part.name for part in form.readings[rank])
+            raise ContractError(
+                f"{of}: found {type(measurement).__name__}, expected "
+                f"{_title(form.measures[rank])}({names})"
+            )
         try:
             number = operator.index(target)
         except TypeError:
             raise DataError(
-                f"{form.of}: target is {target!r}, expected its row in the map, a whole number"
+                f"{of}: target is {target!r}, expected its row in the map, a whole number"
             ) from None
-        which: Any = np.asarray(number if abs(number) < 2**62 else NO_TARGET)
-        spread: Any = None
+        self._target[0] = number if -(2**62) < number < 2**62 else NO_TARGET
+        size = form.sizes_told[rank]
+        self._measurement[size:] = 0.0  # else what is said twice is not the same
+        write(of, measurement, form.readings[rank], self._measurement)
+        self._has_cov[0] = cov is not None
         if cov is not None:
-            spread = numbers(f"{form.of}: the covariance", cov, (form.size, form.size))
-        return Readings(form.arrays(measurement), which, spread)
+            size = form.sizes[rank]
+            spread = numbers(f"{of}: the covariance", cov, (size, size))
+            self._cov[: size * size], self._cov[size * size :] = spread.ravel(), 0.0
 
-    def control(self, control: Any) -> Any:
-        """The control as arrays.
+    def control(self, control: Any) -> np.ndarray | None:
+        """The control as a vector, or None if it is not finite.
 
         Raises:
             ContractError: it is that of another vehicle.
             DataError: a part of it holds no numbers, or those of another shape.
         """
-        leaves, form = jax.tree.flatten(control)
-        if form != self._control:
+        leaves, structure = jax.tree.flatten(control)
+        if structure != self._structure:
             given = _title(type(control))
             raise ContractError(f"the control: found {given}, expected {self._title}")
-        parts = zip(self._names, leaves, self._shapes, strict=True)
-        return form.unflatten([numbers(f"the control: {n}", v, s) for n, v, s in parts])
+        write("the control", leaves, self._form.controls, self._control)
+        if all(map(math.isfinite, self._control.tolist())):
+            return self._control.copy()
+        return None
 
 
-def seconds(time: Any) -> float:
-    """The time of an event.
+def write(of: str, values: Any, laid: tuple[Part, ...], vector: np.ndarray) -> None:
+    """Put values into a vector, whatever a driver has at hand.
 
     Raises:
-        DataError: it is no number, or not finite.
+        DataError: one holds no numbers, or those of another shape.
+    """
+    for value, (name, shape, place) in zip(values, laid, strict=True):
+        if type(value) is float and not shape and IS_WIDE:
+            vector[place.start] = value
+        else:
+            vector[place] = numbers(f"{of}: {name}", value, shape).ravel()
+
+
+def nanoseconds(time: Any, unit: float) -> int:
+    """The time of an event in ns, from a clock that counts in ``unit`` seconds.
+
+    Raises:
+        DataError: it is no number, or not finite, or beyond all clocks.
     """
     try:
-        value = float(time)
+        value = operator.index(time) if unit == NS else round(float(time) * SECOND)
     except (TypeError, ValueError, OverflowError):
-        value = math.nan
-    if not math.isfinite(value):
-        raise DataError(f"event time is {time}; expected seconds since the start")
+        value = MOST_NS
+    if not -MOST_NS < value < MOST_NS:
+        what = "whole nanoseconds" if unit == NS else "seconds"
+        raise DataError(f"event time is {time}; expected {what} since the start")
     return value
-
-
-def is_finite(tree: Any) -> bool:
-    """Whether all numbers in it are."""
-    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree))
 
 
 def numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -125,6 +121,8 @@ def numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         DataError: it holds no real numbers, or those of another shape.
     """
+    if type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape:
+        return value
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):  # ragged
@@ -141,12 +139,6 @@ def _shaped(shape: tuple[int, ...]) -> str:
     if not shape:
         return "one number"
     return f"{' x '.join(map(str, shape))} numbers"
-
-
-def _fields(of: str, cls: Any) -> Fields:
-    space = space_of(cls)
-    shapes = tuple(chart.shape for chart in space.charts)
-    return Fields(of, cls, getattr(cls, "_fields", ()), shapes, space.size)
 
 
 def _title(cls: type) -> str:

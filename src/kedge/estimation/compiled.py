@@ -43,12 +43,14 @@ def compiled_pass(
     keep: Callable[[Estimates], Any] | None = None,
     per_run: Any = None,
     work: int = 0,
+    pitches: tuple[int, int] | None = None,
 ) -> Any:
     """The pass in machine code, or None if XLA is to do it. Parameters must be arrays.
 
     ``own`` is a tree like ``(filter, rig, log)`` of flags: which arrays have a leading axis of
     runs. Without it there is one run. ``work`` is how many events are to be passed in all, over
-    all runs: of many, a program is worth compiling that is too long for a few.
+    all runs: of many, a program is worth compiling that is too long for a few. With ``pitches``
+    it works on rows (:data:`kedge.estimation.native.Pitches`).
 
     Raises:
         ContractError: ``engine`` is "native" and that is not possible.
@@ -63,7 +65,7 @@ def compiled_pass(
         from kedge.estimation.native import native_pass
 
         try:
-            return native_pass(filter, rig, log, history, keep, per_run, work)
+            return native_pass(filter, rig, log, history, keep, per_run, work, pitches)
         except Unsupported as error:
             why = str(error)
     if chosen == "native" and engine == "native":

@@ -1,118 +1,143 @@
-"""What an online estimator remembers: the events of its window, and how each left it."""
+"""What an online estimator remembers: the events of its window, and how some left it."""
 
 import bisect
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from kedge.estimation.log import Readings
-from kedge.estimation.step import FilterState, Outcome
+Order = tuple[int, int, int]
+"""What events are sorted by, whatever the order in which they arrive: time in ns, turn among
+events at one time as in a log (controls, sensors as installed, the rest), turn among readings of
+one sensor at one time."""
 
 
-class Event(NamedTuple):
-    """One event as it was pushed."""
+class Origin(NamedTuple):
+    """What an estimator knows before the first event of its window."""
 
-    time: float
-    rank: int
-    """Its turn among events at one time, as in a log: controls, sensors as installed, rest."""
-    sequence: int
-    """Its turn among readings of one sensor at one time."""
-    reading: Readings | None = None
-    control: Any = None
-    """Held from here on."""
-
-    @property
-    def order(self) -> tuple[float, int, int]:
-        """What events are sorted by, whatever the order in which they arrive."""
-        return self.time, self.rank, self.sequence
-
-    def repeats(self, other: "Event") -> bool:
-        """Whether it says again what another one has said: a message delivered twice."""
-        if self.order != other.order:
-            return False
-        if self.reading is None and self.control is None:
-            return False  # it only asks for the estimate
-        mine, theirs = (jax.tree.leaves((e.reading, e.control)) for e in (self, other))
-        return len(mine) == len(theirs) and all(
-            np.asarray(a).tobytes() == np.asarray(b).tobytes()
-            for a, b in zip(mine, theirs, strict=True)
-        )
-
-
-class State(NamedTuple):
-    """All that an estimator knows after an event."""
-
-    filter: FilterState
-    time: float
-    """That of the filter's state, with all its digits whatever the type of the arrays."""
-    control: Any
-    words: Any = None
-    """The same for machine code, which then need not put it together again."""
-
-
-class Entry(NamedTuple):
-    """An event, and how it left the estimator."""
-
-    event: Event
-    after: State
-    outcome: Outcome
-    record: Any
-    """What the smoother needs of the prediction; None if the filter cannot be smoothed."""
-    moments: Any = None
-    """Mean and covariance after it, where they are known already."""
+    time: int
+    """ns"""
+    words: np.ndarray
+    held: np.ndarray
+    """The control that holds."""
 
 
 class Window:
-    """The events of the last ``lag`` seconds in the order of their times.
+    """The events of the last ``lag`` ns in the order of their times.
 
-    ``origin`` is the state before the first of them, so that any of them can be replayed.
+    They lie side by side in lists: their order, their rows, the control that they brought, and
+    the words after them, where a call of the kernel ended there. ``origin`` is the state before
+    the first of them, so that any of them can be replayed.
     """
 
-    def __init__(self, origin: State, lag: float, capacity: int):
-        self.origin = origin
-        self.lag = lag
-        self.capacity = capacity
-        self.entries: list[Entry] = []
+    def __init__(self, origin: Origin, lag: int, capacity: int):
+        self.origin, self.lag, self.capacity = origin, lag, capacity
+        self.orders: list[Order] = []
+        self.rows: list[np.ndarray] = []
+        self.told: list[np.ndarray | None] = []
+        self.words: list[np.ndarray | None] = []
+        self.closed = origin.time - 1
+        """ns of the newest event that is forgotten: what is as old can be taken in no more."""
 
     @property
-    def newest(self) -> State:
-        """The state after the last event."""
-        return self.entries[-1].after if self.entries else self.origin
+    def time(self) -> int:
+        """That of the newest event, in ns."""
+        return self.orders[-1][0] if self.orders else self.origin.time
 
-    def too_late(self, time: float) -> bool:
+    @property
+    def after(self) -> np.ndarray:
+        """The words after the newest event."""
+        last = self.words[-1] if self.words else None
+        return self.origin.words if last is None else last
+
+    def too_late(self, time: int) -> bool:
         """Whether an event of that time can be taken in no more."""
-        if time < max(self.newest.time - self.lag, self.origin.time):
-            return True
-        state = self.origin.filter
-        return time <= self.origin.time and int(state.predictions) + int(state.readings) > 0
+        return time <= self.closed or time < self.time - self.lag
 
-    def place(self, event: Event) -> int:
+    def place(self, order: Order) -> int:
         """Where an event belongs: behind all that come before it or at its turn."""
-        if self.lag == 0 and event.time == self.newest.time:
-            return len(self.entries)  # as they come
-        return bisect.bisect_right(self.entries, event.order, key=lambda e: e.event.order)
+        if self.lag == 0 and order[0] == self.time:
+            return len(self.orders)  # as they come
+        return bisect.bisect_right(self.orders, order)
 
-    def before(self, index: int) -> State:
-        """The state from which the event at ``index`` starts."""
-        return self.entries[index - 1].after if index else self.origin
-
-    def holds(self, event: Event) -> bool:
-        """Whether an event has been here already."""
-        first = bisect.bisect_left(self.entries, event.time, key=lambda e: e.event.time)
-        for entry in self.entries[first:]:
-            if entry.event.time != event.time:
+    def holds(self, order: Order, row: np.ndarray) -> bool:
+        """Whether an event has been here already: a message delivered twice."""
+        if row["sensor"][0] < 0 and not row["has_control"][0]:
+            return False  # it only asks for the estimate
+        said = None
+        for place in range(len(self.orders) - 1, -1, -1):
+            if self.orders[place][0] < order[0]:
                 return False
-            if event.repeats(entry.event):
-                return True
+            if self.orders[place] == order:
+                said = _said(row) if said is None else said
+                if said == _said(self.rows[place]):
+                    return True
         return False
 
-    def replace(self, index: int, entries: list[Entry]) -> None:
-        """Put new entries in place of those from ``index`` on; drop what is too old."""
-        self.entries[index:] = entries
-        opens = self.newest.time - self.lag
-        keep = bisect.bisect_left(self.entries, opens, key=lambda e: e.event.time)
-        keep = max(keep, len(self.entries) - self.capacity)
-        if keep > 0:
-            self.origin = self.entries[keep - 1].after
-            del self.entries[:keep]
+    def before(self, place: int) -> tuple[int, np.ndarray]:
+        """Where the last call before the event at ``place`` ended, and its words."""
+        for begin in range(place, 0, -1):
+            words = self.words[begin - 1]
+            if words is not None:
+                return begin, words
+        return 0, self.origin.words
+
+    def held(self, place: int) -> np.ndarray:
+        """The control that holds when the event at ``place`` comes."""
+        for control in reversed(self.told[:place]):
+            if control is not None:
+                return control
+        return self.origin.held
+
+    def append(
+        self, order: Order, row: np.ndarray, told: np.ndarray | None, words: np.ndarray | None
+    ) -> None:
+        """One event more, newer than all others."""
+        self.orders.append(order)
+        self.rows.append(row)
+        self.told.append(told)
+        self.words.append(words)
+
+    def insert(
+        self, place: int, order: Order, row: np.ndarray, told: np.ndarray | None
+    ) -> None:
+        """One event between others; the words after it have to be found."""
+        self.orders.insert(place, order)
+        self.rows.insert(place, row)
+        self.told.insert(place, told)
+        self.words.insert(place, None)
+
+    def first(self) -> int:
+        """The first event that is remembered: those before it only lead to it."""
+        opens = (self.time - self.lag,)
+        keep = bisect.bisect_left(self.orders, opens)
+        return max(keep, len(self.orders) - self.capacity)
+
+    def forget(self) -> None:
+        """Drop what is too old, as far back as is known how it left the estimator."""
+        keep = 0
+        opens = self.time - self.lag
+        orders = self.orders
+        while orders[keep][0] < opens:
+            keep += 1
+        keep = max(keep, len(orders) - self.capacity)
+        if not keep:
+            return
+        time, rank, _ = orders[keep - 1]
+        if time > self.origin.time or self.rows[keep - 1]["sensor"][0] >= 0:
+            self.closed = max(self.closed, time)
+        begin, words = self.before(keep)
+        if begin:
+            self.origin = Origin(orders[begin - 1][0], words, self.held(begin))
+            for part in (self.orders, self.rows, self.told, self.words):
+                del part[:begin]
+
+
+def _said(row: np.ndarray) -> list[bytes]:
+    names = ["sensor", "has_cov", "has_control"]
+    if row["sensor"][0] >= 0:
+        names += ["target", "measurement"]
+    if row["has_cov"][0]:
+        names.append("cov")
+    if row["has_control"][0]:
+        names.append("control")
+    return [row[name].tobytes() for name in names]

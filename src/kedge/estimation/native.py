@@ -36,6 +36,9 @@ many of them it takes to pay does not depend on how many lines there are.
 """
 
 Keep = Callable[[Estimates], Any] | None
+Pitches = tuple[int, int]
+"""Of rows that one run's events are read from, in numbers, and its results written to, in bytes;
+such a program takes and leaves rows of structured arrays."""
 Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], tuple[bool, ...], bool]
 """What a program hangs on: the structure of its arguments, their shapes and types, which of
 them are the log's, and whether the history is kept."""
@@ -59,12 +62,15 @@ class NativePass:
         per_run: Sequence[bool] | None,
         wanted: frozenset[int] | None,
         limits: Limits = SHORT,
+        pitches: Pitches | None = None,
     ):
         batched = per_run is not None
         flags = per_run or [False] * len(traced.arguments)
         arguments = [
             a._replace(per_run=o) for a, o in zip(traced.arguments, flags, strict=True)
         ]
+        row, pitch = pitches or (None, None)
+        arguments = [a._replace(pitch=row) if a.open_ended else a for a in arguments]
         program = build(traced.jaxpr, [*arguments, None], batched, limits)
         if wanted is not None:
             kept = [i for i, place in enumerate(program.places) if place in wanted]
@@ -72,7 +78,7 @@ class NativePass:
                 outputs=[program.outputs[i] for i in kept],
                 places=[program.places[i] for i in kept],
             )
-        self.kernel = Kernel(program, batched, limits)
+        self.kernel = Kernel(program, batched, limits, pitch)
         self.arguments = arguments
         self.memory = threading.local()
         self.results = jax.tree.structure(traced.results)
@@ -156,6 +162,7 @@ def native_pass(
     keep: Keep,
     per_run: Any,
     work: int = 0,
+    pitches: Pitches | None = None,
 ) -> NativePass:
     """The compiled pass for this structure and these shapes; compiled once in a process.
 
@@ -184,7 +191,7 @@ def native_pass(
         wanted = None if keep is None else _wanted(form, keep)
     except TypeError:  # it holds arrays, so that it cannot be looked up
         wanted = _wanted.__wrapped__(form, keep)
-    return _compiled(form, flags, wanted, LONG if work >= MUCH else SHORT)
+    return _compiled(form, flags, wanted, LONG if work >= MUCH else SHORT, pitches)
 
 
 @ft.lru_cache(maxsize=64)
@@ -211,8 +218,9 @@ def _compiled(
     flags: tuple[bool, ...] | None,
     wanted: frozenset[int] | None,
     limits: Limits,
+    pitches: Pitches | None = None,
 ) -> NativePass:
-    return NativePass(_traced(form), flags, wanted, limits)
+    return NativePass(_traced(form), flags, wanted, limits, pitches)
 
 
 @ft.lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""One event at a time by the machine code of a pass, over memory that stays where it is."""
+"""Waiting events by the machine code of a pass, over rows of memory that stay where they are."""
 
 from typing import Any
 
@@ -6,12 +6,13 @@ import jax
 import numpy as np
 
 from kedge.compiler.algebra import TYPES
+from kedge.compiler.emit import HEAD
 from kedge.core.contracts import AbstractFilter
-from kedge.core.manifolds import space_of
+from kedge.core.errors import ContractError
 from kedge.estimation.compiled import Engine, compiled_pass
-from kedge.estimation.delayed import Event, State
-from kedge.estimation.log import Log, Readings, Schedule
 from kedge.estimation.rig import Rig
+from kedge.estimation.live_steps import Steps
+from kedge.estimation.rows import EventForm
 from kedge.estimation.step import FilterState
 
 NO_EVENT = -1
@@ -19,121 +20,151 @@ ENDLESS = 2**62
 """Events to come: so many that a long program is worth its compilation."""
 
 
-class NativeStep:
-    """The event step for one rig; ``take`` gives None where machine code cannot do it.
+class NotCompiled(ContractError):
+    """Machine code cannot do what is asked for."""
 
-    Readings that bring a covariance have a program of their own, compiled when the first comes.
+
+class NativeSteps(Steps):
+    """The event step by machine code.
+
+    Readings that bring a covariance have a program of their own, compiled when the first comes,
+    and so has the smoother. All of them carry the same words from event to event.
+
+    Raises:
+        NotCompiled: machine code cannot do it.
+        ContractError: it is asked for by name, and cannot.
     """
 
     def __init__(
-        self, filter: AbstractFilter, rig: Rig, control: Any, history: bool, engine: Engine
+        self,
+        filter: AbstractFilter,
+        rig: Rig,
+        events: EventForm,
+        state: FilterState,
+        engine: Engine,
     ):
-        self._filter, self._rig, self._history = filter, rig, history
-        self._engine: Engine = engine
-        self._control = control
-        self._programs: dict[int, Program | None] = {}
+        super().__init__(filter, rig, events, state)
+        self._given = filter, rig, engine
+        self._has_cov, self._sensor = self.rows["has_cov"], self.rows["sensor"]
+        self._programs: dict[tuple[int, bool], Program] = {}
+        self._carry = np.zeros(0, np.int64)
+        self._known: Any = None  # whose numbers stand in the carry
+        plain = self._program(NO_EVENT)
+        self._plain_block, self._plain_call = plain.block, plain.call
 
-    def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any] | None:
-        """The state after an event, the moments, the outcome and the smoother's share."""
-        reading = event.reading
-        with_cov = event.rank if reading is not None and reading.cov is not None else NO_EVENT
-        if with_cov not in self._programs:
-            self._programs[with_cov] = self._compiled(with_cov)
-        program = self._programs[with_cov]
-        return None if program is None else program.take(state, event)
+    def run(self, count: int, words: np.ndarray) -> list[np.ndarray]:
+        """The first ``count`` rows done, and the words after the last of them."""
+        if words is not self._known:
+            self._carry[:] = words
+        if not (self._has_cov[0] if count == 1 else self._has_cov[:count].any()):
+            self._plain_block[0] = count
+            self._plain_call()
+        else:
+            self._mixed(count, False)
+        self._known = after = self._carry.copy()
+        return [after]
 
-    def _compiled(self, with_cov: int) -> "Program | None":
-        readings = tuple(
-            _blank(installation.sensor.measures, number == with_cov)
-            for number, installation in enumerate(self._rig.sensors)
-        )
-        time: Any = np.zeros(1)
-        sensor: Any = np.zeros(1, np.int64)
-        row: Any = np.zeros(1, np.int64)
-        controls = jax.tree.map(lambda leaf: np.zeros((1, *np.shape(leaf))), self._control)
-        log = Log(Schedule(time, sensor, row), controls, readings)
-        compiled = compiled_pass(
-            self._filter, self._rig, jax.tree.map(jax.numpy.asarray, log), self._history,
-            self._engine, work=ENDLESS,
-        )  # fmt: skip
-        return None if compiled is None else Program(compiled, self._filter, self._rig, log)
+    def record(self, count: int, words: np.ndarray) -> np.ndarray:
+        """The same with what a smoother needs of each, in ``recorded``; the last words."""
+        self._carry[:] = words
+        self._mixed(count, True)
+        self._known = after = self._carry.copy()
+        return after
 
+    def prepare(self) -> None:
+        """Compile all that can come."""
+        for with_cov in range(NO_EVENT, len(self._events.measures)):
+            for history in (False, True)[: 1 + self.smoothable]:
+                self._program(with_cov, history)
 
-class Program:
-    """The compiled step with its memory."""
-
-    def __init__(self, compiled: Any, filter: AbstractFilter, rig: Rig, log: Log):
-        kernel = compiled.kernel
-        self._call = kernel.code.call
-        leaves, structure = jax.tree.flatten((filter, rig, log))
-        *self._arrays, key = compiled.arrays(leaves)
-        self._carry = kernel.carry(1)
-        self._outputs = kernel.fresh(1, 1)
-        self._block = kernel.block(
-            [*self._arrays, key], self._outputs, self._carry, 1, 0, 1, anew=False
-        )
-        self._address = self._block.ctypes.data
-        # The memory that the code reads, by the log's names.
-        *_, self._log = jax.tree.unflatten(structure, self._arrays)
-        self._controls = jax.tree.leaves(self._log.controls)
-        self._held: Any = None
-        self._readings = [jax.tree.leaves(readings) for readings in self._log.readings]
-        # What it leaves there: views of the memory it writes, or arguments as they came.
-        views = [output.reshape(output.shape[2:-1]) for output in self._outputs]
-        estimates, history, _ = compiled.tree(self._arrays, views)
-        results = estimates.moments, estimates.outcome, history
-        self._results, self._form = jax.tree.flatten(results)
-        # And the words of the state that it carries; none for what no event changes: that
-        # stays as it was.
-        *_, last = jax.tree.unflatten(compiled.results, range(compiled.results.num_leaves))
-        numbers, self._shape = jax.tree.flatten(last)
-        self._kinds = kernel.carried
-        self._words = [
-            (place, kernel.ends[number], self._kinds[kernel.ends[number].start])
-            for place, number in enumerate(numbers)
-            if number in kernel.ends
-        ]
-
-    def take(self, state: State, event: Event) -> tuple[State, Any, Any, Any]:
-        """The event done in the memory, and copies of what it left there."""
-        schedule, reading = self._log.schedule, event.reading
-        schedule.time[0] = event.time
-        schedule.sensor[0] = NO_EVENT if reading is None else event.rank
-        if state.control is not self._held:  # else it stands there
-            for slot, value in zip(self._controls, jax.tree.leaves(state.control), strict=True):
-                slot[0] = value
-            self._held = state.control
-        if reading is not None:
-            place = self._readings[event.rank]
-            for slot, value in zip(place, jax.tree.leaves(reading), strict=True):
-                slot[0] = value
-        carry = self._carry[0]
-        carry[:] = self._packed(state) if state.words is None else state.words
-        self._call(self._address)
-        words = carry.copy()
-        control = state.control if event.control is None else event.control
-        after = State(self._unpacked(state.filter, words), event.time, control, words)
-        return after, *self._form.unflatten([view.copy() for view in self._results])
-
-    def _packed(self, state: State) -> np.ndarray:
-        words, leaves = np.empty(len(self._kinds), np.int64), jax.tree.leaves(state.filter)
+    def pack(self, state: FilterState) -> np.ndarray:
+        """The words of a state."""
+        words, leaves = np.empty(len(self._carry), np.int64), jax.tree.leaves(state)
         for place, part, _ in self._words:
             array = np.asarray(leaves[place]).ravel()
             wide = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
             words[part] = wide.view(np.int64)
         return words
 
-    def _unpacked(self, like: FilterState, words: np.ndarray) -> FilterState:
-        leaves, numbers = self._shape.flatten_up_to(like), words.view(np.float64)
+    def unpack(self, words: np.ndarray) -> FilterState:
+        """The state of words; what no event changes is as it was at first."""
+        structure = jax.tree.structure(self._state)
+        leaves, numbers = jax.tree.leaves(self._state), words.view(np.float64)
         for place, part, kind in self._words:
             array = numbers[part] if kind == "f8" else words[part].astype(TYPES[kind])
-            leaves[place] = array.reshape(leaves[place].shape)
-        return self._shape.unflatten(leaves)
+            leaves[place] = np.array(array.reshape(leaves[place].shape))
+        return structure.unflatten(leaves)
+
+    def _mixed(self, count: int, history: bool) -> None:
+        """Parts of the rows, each by the program that knows whose covariance comes with it."""
+        begin, program = 0, NO_EVENT
+        spreads, sensors = self._has_cov[:count].tolist(), self._sensor[:count].tolist()
+        for place, (spread, rank) in enumerate(zip(spreads, sensors, strict=True)):
+            wanted = rank if spread else NO_EVENT
+            if wanted != program and place > begin:
+                self._program(program, history).part(begin, place)
+                begin = place
+            program = wanted
+        self._program(program, history).part(begin, count)
+
+    def _program(self, with_cov: int, history: bool = False) -> "Program":
+        known = self._programs.get((with_cov, history))
+        return self._compiled(with_cov, history) if known is None else known
+
+    def _compiled(self, with_cov: int, history: bool) -> "Program":
+        (filter, rig, engine), events = self._given, self._events
+        form, answers = self.form, self.answers
+        if history:
+            form, answers = self.recorded_form, self.recorded
+        log = events.views(self.rows, with_cov)
+        traced = jax.tree.map(
+            lambda leaf: jax.numpy.zeros((1, *leaf.shape[1:]), leaf.dtype), log
+        )
+        pitches = events.pitch, form.dtype.itemsize
+        compiled = compiled_pass(
+            filter, rig, traced, history, engine, work=ENDLESS, pitches=pitches
+        )
+        if compiled is None:
+            raise NotCompiled("no machine code for what came: engine='xla' runs it")
+        kernel = compiled.kernel
+        *_, last = jax.tree.unflatten(compiled.results, range(compiled.results.num_leaves))
+        words = [
+            (place, kernel.ends[number], kernel.carried[kernel.ends[number].start])
+            for place, number in enumerate(jax.tree.leaves(last))
+            if number in kernel.ends
+        ]
+        if not self._programs:
+            self._carry, self._words = kernel.carry(1)[0], words
+        if words != self._words:
+            raise AssertionError("programs of one rig that carry other words")
+        program = Program(compiled, (filter, rig), log, form.fields(answers), self._carry)
+        self._programs[with_cov, history] = program
+        return program
 
 
-def _blank(measures: Any, with_cov: bool) -> Readings:
-    outputs = space_of(measures)
-    zeros = [np.zeros((1, *chart.shape)) for chart in outputs.charts]
-    cov: Any = np.zeros((1, outputs.size, outputs.size)) if with_cov else None
-    target: Any = np.zeros(1, np.int64)
-    return Readings(measures(*zeros), target, cov)
+class Program:
+    """One compiled step over the rows; ``fields`` is where its results go."""
+
+    def __init__(self, compiled: Any, given: Any, log: Any, fields: Any, carry: np.ndarray):
+        kernel = compiled.kernel
+        rows = jax.tree.leaves(log)
+        *fixed, _ = compiled.arrays([*jax.tree.leaves(given), *map(np.array, rows)])
+        self._kept = [*fixed[: -len(rows)], *rows], fields, carry
+        # By the number of the result: the time, which stays as it came, then the fields.
+        outputs = [fields[place - 1] for place in kernel.places]
+        self.block = kernel.block([*self._kept[0], None], outputs, carry, 0, 0, 1, anew=False)
+        address, call = self.block.ctypes.data, kernel.code.call
+        self.call = lambda: call(address)
+        self._whole, self._step = self.block.copy(), np.zeros_like(self.block)
+        first = len(fixed) - len(rows)
+        for number, array in enumerate(rows, start=first):
+            self._step[HEAD + 3 * number] = array.strides[0]
+        self._step[-len(outputs) :] = outputs[0].strides[0]
+        self._step[HEAD + 3 * (first + 2)] = 0  # its numbers count from where a part begins
+
+    def part(self, begin: int, end: int) -> None:
+        """Do the rows from ``begin`` to ``end``."""
+        self.block[:] = self._whole + begin * self._step
+        self.block[0] = end - begin
+        self.call()
+        self.block[:] = self._whole

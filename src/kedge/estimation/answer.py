@@ -1,0 +1,60 @@
+"""What an online estimator answers to an event."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kedge.core.beliefs import Gaussian
+from kedge.core.verdicts import Verdict
+from kedge.estimation.rows import AnswerForm
+from kedge.estimation.step import Outcome
+
+
+class Answer:
+    """What an event led to; ``row`` holds it all, and its parts are made when asked for."""
+
+    __slots__ = ("_form", "row")
+
+    def __init__(self, form: AnswerForm, row: np.ndarray):
+        self._form, self.row = form, row
+
+    @property
+    def verdict(self) -> Verdict:
+        """What became of the reading, or why the whole event changed nothing."""
+        return Verdict(int(self.row["verdict"][0]))
+
+    @property
+    def control(self) -> Verdict:
+        """What became of the control: FUSED if it holds from now on."""
+        return Verdict(int(self.row["control"][0]))
+
+    @property
+    def replayed(self) -> int:
+        """How many events were done again, since this one came late."""
+        return int(self.row["replayed"][0])
+
+    @property
+    def moments(self) -> Gaussian:
+        """The estimate after the newest event, in the light of this one."""
+        return self._form.tree(self.row[0])
+
+    @property
+    def outcome(self) -> Outcome:
+        """Residual, NIS, threshold and all else of the reading."""
+        return self._form.outcome(self.row[0])
+
+    def __repr__(self) -> str:
+        control = "" if self.control == Verdict.NONE else f", control {self.control.name}"
+        return f"Answer({self.verdict.name}{control}, replayed {self.replayed}, {self.moments})"
+
+
+class Event(NamedTuple):
+    """A message of a driver: what :meth:`kedge.Estimator.push` takes, to be pushed with others."""
+
+    time: Any
+    sensor: str | None = None
+    measurement: Any = None
+    control: Any = None
+    target: Any = 0
+    cov: Any = None
+    sequence: int = 0
