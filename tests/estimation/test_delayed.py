@@ -199,7 +199,7 @@ def test_no_smoothing_without_a_gaussian(rig, key):
 
 def test_an_event_at_the_time_of_one_forgotten_is_too_late():
     """Where memory ends before the lag does; the start itself has nothing before it."""
-    words, row = np.zeros(1), np.array([(-1,)], [("sensor", int)])
+    words, row = np.zeros(1), np.full(5, -1)
     window = Window(Origin(0, words, words), lag=10, capacity=1)
     assert not window.too_late(0)
     for time in (1, 2):

@@ -6,15 +6,18 @@ right in form and not finite is a fault of a sensor, which a verdict answers.
 
 import math
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 
 from kedge.core.errors import ContractError, DataError
+from kedge.core.verdicts import Verdict
+from kedge.estimation.delayed import Order
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig
-from kedge.estimation.rows import EventForm, Part
+from kedge.estimation.rows import NO_SENSOR, EventForm, Part
 
 FLOAT = jax.dtypes.canonicalize_dtype(float)
 IS_WIDE = FLOAT == np.float64
@@ -25,19 +28,59 @@ NO_TARGET = -1
 """On no map; so are numbers that no integer of the machine holds."""
 
 
-class Admission:
-    """The forms of all that a rig takes in, written into the first of ``rows``."""
+FUSED, NONE, NOT_FINITE = map(int, (Verdict.FUSED, Verdict.NONE, Verdict.NOT_FINITE))
+Admitted = tuple[Order, np.ndarray | None, int]
+"""An event's order, the control that will hold, and the verdict on the control that came."""
 
-    def __init__(self, rig: Rig, form: EventForm, rows: np.ndarray, control: Any):
-        self._form = form
+
+class Admission:
+    """The forms of all that a rig takes in, written into the first row of ``rows``."""
+
+    def __init__(self, rig: Rig, form: EventForm, rows: np.ndarray, control: Any, unit: float):
+        self._form, self._rig, self._unit = form, rig, unit
         self._measurement, self._cov, self._control = (
             rows[name][0] for name in ("measurement", "cov", "control")
         )
-        self._target, self._has_cov = rows["target"], rows["has_cov"]
-        self._whose = [f"a reading of {one.name!r}" for one in rig.sensors]
+        self._sensor, self._target, self._sequence, self._has_cov, self._has_control = (
+            rows[name] for name in ("sensor", "target", "sequence", "has_cov", "has_control")
+        )
+        self._ranks = {name: rank for rank, name in enumerate(rig.names)}
+        self._tails = [
+            slice(size, None) if size < len(self._measurement) else None
+            for size in form.sizes_told
+        ]
         self._structure = jax.tree.structure(control)
+        # A control that is a tuple of numbers and arrays need not be taken apart.
+        is_flat = len(getattr(type(control), "_fields", ())) == len(form.controls)
+        self._class = type(control) if is_flat else None
         names = ", ".join(part.name for part in form.controls)
         self._title = f"{_title(type(control))}({names})"
+
+    def event(
+        self, time: Any, sensor: Any, measurement: Any, control: Any, target: Any, cov: Any,
+        sequence: int,
+    ) -> Admitted:  # fmt: skip
+        """A whole event, but for what is known of those before it.
+
+        Raises:
+            DataError: a part of it has another form.
+            ContractError: it is of another rig.
+        """
+        at = nanoseconds(time, self._unit)
+        rank, place = (len(self._ranks) if control is None else -1), NO_SENSOR
+        if sensor is not None:
+            known = self._ranks.get(sensor)
+            rank = place = self._rig.index(sensor) if known is None else known
+            self.reading(rank, measurement, target, cov)
+        else:
+            self._has_cov[0] = 0
+        told, fate = None, NONE
+        if control is not None:
+            told = self.control(control)
+            fate = FUSED if told is not None else NOT_FINITE
+        self._sensor[0], self._has_control[0] = place, told is not None
+        self._sequence[0] = sequence
+        return (at, rank, sequence), told, fate
 
     def reading(self, rank: int, measurement: Any, target: Any, cov: Any) -> None:
         """One reading of the sensor of that rank.
@@ -46,27 +89,28 @@ class Admission:
             ContractError: the measurement is that of another sensor.
             DataError: it, its target or its covariance has another form.
         """
-        form, of = self._form, self._whose[rank]
+        form = self._form
         if type(measurement) is not form.measures[rank]:
             names = ", ".join(part.name for part in form.readings[rank])
             raise ContractError(
-                f"{of}: found {type(measurement).__name__}, expected "
+                f"{self._whose(rank)}: found {type(measurement).__name__}, expected "
                 f"{_title(form.measures[rank])}({names})"
             )
         try:
             number = operator.index(target)
         except TypeError:
             raise DataError(
-                f"{of}: target is {target!r}, expected its row in the map, a whole number"
+                f"{self._whose(rank)}: target is {target!r}, expected its row in the map, a "
+                "whole number"
             ) from None
         self._target[0] = number if -(2**62) < number < 2**62 else NO_TARGET
-        size = form.sizes_told[rank]
-        self._measurement[size:] = 0.0  # else what is said twice is not the same
-        write(of, measurement, form.readings[rank], self._measurement)
+        if (tail := self._tails[rank]) is not None:
+            self._measurement[tail] = 0.0  # else what is said twice is not the same
+        write(lambda: self._whose(rank), measurement, form.readings[rank], self._measurement)
         self._has_cov[0] = cov is not None
         if cov is not None:
             size = form.sizes[rank]
-            spread = numbers(f"{of}: the covariance", cov, (size, size))
+            spread = numbers(f"{self._whose(rank)}: the covariance", cov, (size, size))
             self._cov[: size * size], self._cov[size * size :] = spread.ravel(), 0.0
 
     def control(self, control: Any) -> np.ndarray | None:
@@ -76,27 +120,67 @@ class Admission:
             ContractError: it is that of another vehicle.
             DataError: a part of it holds no numbers, or those of another shape.
         """
-        leaves, structure = jax.tree.flatten(control)
-        if structure != self._structure:
-            given = _title(type(control))
-            raise ContractError(f"the control: found {given}, expected {self._title}")
-        write("the control", leaves, self._form.controls, self._control)
+        leaves = control
+        if type(control) is not self._class:
+            leaves, structure = jax.tree.flatten(control)
+            if structure != self._structure:
+                given = _title(type(control))
+                raise ContractError(f"the control: found {given}, expected {self._title}")
+        write(lambda: "the control", leaves, self._form.controls, self._control)
         if all(map(math.isfinite, self._control.tolist())):
             return self._control.copy()
         return None
 
+    def checked(self, rows: np.ndarray) -> list[Admitted]:
+        """Rows from outside; a control that is not finite is taken out of them.
 
-def write(of: str, values: Any, laid: tuple[Part, ...], vector: np.ndarray) -> None:
+        Raises:
+            DataError: they are not rows of this rig.
+        """
+        if rows.dtype != self._form.dtype or rows.ndim != 1:
+            raise DataError(
+                f"push_many: found an array of {rows.dtype.name} numbers, expected rows as "
+                "Estimator.rows makes them, or events"
+            )
+        ranks, count = rows["sensor"].tolist(), len(self._ranks)
+        wrong = [rank for rank in ranks if not NO_SENSOR <= rank < count]
+        if wrong:
+            raise DataError(
+                f"push_many: sensor: found {wrong[0]}, expected {NO_SENSOR} to {count - 1}"
+            )
+        controls, given = rows["control"].copy(), rows["has_control"].astype(bool)
+        finite = np.isfinite(controls).all(axis=1)
+        fates = np.where(given, np.where(finite, FUSED, NOT_FINITE), NONE).tolist()
+        rows["has_control"] = given & finite
+        rows["has_cov"] = (rows["has_cov"] != 0) & (rows["sensor"] != NO_SENSOR)
+        admitted = []
+        for i, (time, rank, turn, fate) in enumerate(
+            zip(rows["time"].tolist(), ranks, rows["sequence"].tolist(), fates, strict=True)
+        ):
+            turned = rank if rank >= 0 else count if fate == NONE else -1
+            told = controls[i] if fate == FUSED else None
+            admitted.append(((time, turned, turn), told, fate))
+        return admitted
+
+    def _whose(self, rank: int) -> str:
+        return f"a reading of {self._rig.names[rank]!r}"
+
+
+def write(
+    of: Callable[[], str], values: Any, laid: tuple[Part, ...], vector: np.ndarray
+) -> None:
     """Put values into a vector, whatever a driver has at hand.
 
     Raises:
         DataError: one holds no numbers, or those of another shape.
     """
     for value, (name, shape, place) in zip(values, laid, strict=True):
-        if type(value) is float and not shape and IS_WIDE:
+        if not shape and type(value) is float and IS_WIDE:
             vector[place.start] = value
+        elif type(value) is np.ndarray and value.dtype is FLOAT and value.shape == shape:
+            vector[place] = value if len(shape) == 1 else value.ravel()
         else:
-            vector[place] = numbers(f"{of}: {name}", value, shape).ravel()
+            vector[place] = numbers(f"{of()}: {name}", value, shape).ravel()
 
 
 def nanoseconds(time: Any, unit: float) -> int:
@@ -121,8 +205,6 @@ def numbers(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         DataError: it holds no real numbers, or those of another shape.
     """
-    if type(value) is np.ndarray and value.dtype == FLOAT and value.shape == shape:
-        return value
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):  # ragged

@@ -11,12 +11,17 @@ from kedge.estimation.step import Outcome
 
 
 class Answer:
-    """What an event led to; ``row`` holds it all, and its parts are made when asked for."""
+    """What an event led to; its parts are made of the words of its row when asked for."""
 
-    __slots__ = ("_form", "row")
+    __slots__ = ("_form", "_words")
 
-    def __init__(self, form: AnswerForm, row: np.ndarray):
-        self._form, self.row = form, row
+    def __init__(self, form: AnswerForm, words: np.ndarray):
+        self._form, self._words = form, words
+
+    @property
+    def row(self) -> np.ndarray:
+        """All of it, as a structured array of one row."""
+        return self._words.view(self._form.dtype)
 
     @property
     def verdict(self) -> Verdict:
@@ -49,7 +54,7 @@ class Answer:
 
 
 class Event(NamedTuple):
-    """A message of a driver: what :meth:`kedge.Estimator.push` takes, to be pushed with others."""
+    """A message of a driver, to be pushed with others; as in :meth:`kedge.Estimator.push`."""
 
     time: Any
     sensor: str | None = None

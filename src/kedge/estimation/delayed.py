@@ -1,14 +1,21 @@
 """What an online estimator remembers: the events of its window, and how some left it."""
 
 import bisect
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+
+from kedge.estimation.rows import HAS_CONTROL, NO_SENSOR, SENSOR
 
 Order = tuple[int, int, int]
 """What events are sorted by, whatever the order in which they arrive: time in ns, turn among
 events at one time as in a log (controls, sensors as installed, the rest), turn among readings of
 one sensor at one time."""
+
+
+SPARE = 32
+"""Events beyond the window: to forget each as it gets old costs more than to wait."""
 
 
 class Origin(NamedTuple):
@@ -24,30 +31,32 @@ class Origin(NamedTuple):
 class Window:
     """The events of the last ``lag`` ns in the order of their times.
 
-    They lie side by side in lists: their order, their rows, the control that they brought, and
-    the words after them, where a call of the kernel ended there. ``origin`` is the state before
-    the first of them, so that any of them can be replayed.
+    They lie side by side in lists: their order, the words of their rows, the control that they
+    brought, and the words that are carried after them, where a call of the kernel ended there.
+    ``origin`` is the state before the first of them, so that any of them can be replayed.
     """
 
-    def __init__(self, origin: Origin, lag: int, capacity: int):
-        self.origin, self.lag, self.capacity = origin, lag, capacity
+    def __init__(
+        self,
+        origin: Origin,
+        lag: int,
+        capacity: int,
+        said: Callable[[np.ndarray], bytes] = np.ndarray.tobytes,
+    ):
+        self.origin, self.lag, self.capacity, self._said = origin, lag, capacity, said
         self.orders: list[Order] = []
         self.rows: list[np.ndarray] = []
         self.told: list[np.ndarray | None] = []
         self.words: list[np.ndarray | None] = []
         self.closed = origin.time - 1
         """ns of the newest event that is forgotten: what is as old can be taken in no more."""
+        self.full = min(SPARE, capacity)
+        """Events from which on it is time to forget."""
 
     @property
     def time(self) -> int:
         """That of the newest event, in ns."""
         return self.orders[-1][0] if self.orders else self.origin.time
-
-    @property
-    def after(self) -> np.ndarray:
-        """The words after the newest event."""
-        last = self.words[-1] if self.words else None
-        return self.origin.words if last is None else last
 
     def too_late(self, time: int) -> bool:
         """Whether an event of that time can be taken in no more."""
@@ -61,16 +70,13 @@ class Window:
 
     def holds(self, order: Order, row: np.ndarray) -> bool:
         """Whether an event has been here already: a message delivered twice."""
-        if row["sensor"][0] < 0 and not row["has_control"][0]:
+        if row[SENSOR] == NO_SENSOR and not row[HAS_CONTROL]:
             return False  # it only asks for the estimate
-        said = None
         for place in range(len(self.orders) - 1, -1, -1):
             if self.orders[place][0] < order[0]:
                 return False
-            if self.orders[place] == order:
-                said = _said(row) if said is None else said
-                if said == _said(self.rows[place]):
-                    return True
+            if self.orders[place] == order and self._said(row) == self._said(self.rows[place]):
+                return True
         return False
 
     def before(self, place: int) -> tuple[int, np.ndarray]:
@@ -106,6 +112,11 @@ class Window:
         self.told.insert(place, told)
         self.words.insert(place, None)
 
+    def remove(self, place: int) -> None:
+        """Undo :meth:`insert`."""
+        for part in (self.orders, self.rows, self.told, self.words):
+            del part[place]
+
     def first(self) -> int:
         """The first event that is remembered: those before it only lead to it."""
         opens = (self.time - self.lag,)
@@ -114,30 +125,15 @@ class Window:
 
     def forget(self) -> None:
         """Drop what is too old, as far back as is known how it left the estimator."""
-        keep = 0
-        opens = self.time - self.lag
-        orders = self.orders
-        while orders[keep][0] < opens:
-            keep += 1
-        keep = max(keep, len(orders) - self.capacity)
+        keep, orders = self.first(), self.orders
+        self.full = min(len(orders) - keep + SPARE, self.capacity)
         if not keep:
             return
-        time, rank, _ = orders[keep - 1]
-        if time > self.origin.time or self.rows[keep - 1]["sensor"][0] >= 0:
+        time = orders[keep - 1][0]
+        if time > self.origin.time or self.rows[keep - 1][SENSOR] != NO_SENSOR:
             self.closed = max(self.closed, time)
         begin, words = self.before(keep)
         if begin:
             self.origin = Origin(orders[begin - 1][0], words, self.held(begin))
             for part in (self.orders, self.rows, self.told, self.words):
                 del part[:begin]
-
-
-def _said(row: np.ndarray) -> list[bytes]:
-    names = ["sensor", "has_cov", "has_control"]
-    if row["sensor"][0] >= 0:
-        names += ["target", "measurement"]
-    if row["has_cov"][0]:
-        names.append("cov")
-    if row["has_control"][0]:
-        names.append("control")
-    return [row[name].tobytes() for name in names]

@@ -12,7 +12,7 @@ from jaxtyping import PRNGKeyArray
 from kedge.core.beliefs import Gaussian
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.rig import Rig, as_arrays
-from kedge.estimation.rows import AnswerForm, EventForm
+from kedge.estimation.rows import AnswerForm, EventForm, words_of
 from kedge.estimation.step import FilterState, begin, silence, widest
 from kedge.estimation.transition import is_smoothable, still
 
@@ -40,6 +40,7 @@ class Steps(abc.ABC):
         self.rows["row"] = np.arange(BATCH)
         self.answers = np.zeros(BATCH, self.form.dtype)
         self.recorded = np.zeros(BATCH, self.recorded_form.dtype)
+        self.row_words, self.answer_words = words_of(self.rows), words_of(self.answers)
         self._events, self._state = events, state
 
     @abc.abstractmethod

@@ -37,8 +37,8 @@ many of them it takes to pay does not depend on how many lines there are.
 
 Keep = Callable[[Estimates], Any] | None
 Pitches = tuple[int, int]
-"""Of rows that one run's events are read from, in numbers, and its results written to, in bytes;
-such a program takes and leaves rows of structured arrays."""
+"""Of rows that one run's events are read from, in numbers, and its results written to, in
+bytes: such a program takes and leaves rows of structured arrays."""
 Form = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], tuple[bool, ...], bool]
 """What a program hangs on: the structure of its arguments, their shapes and types, which of
 them are the log's, and whether the history is kept."""

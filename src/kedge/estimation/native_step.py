@@ -1,4 +1,4 @@
-"""Waiting events by the machine code of a pass, over rows of memory that stay where they are."""
+"""Waiting events by the machine code of a pass, over rows of memory that stay in place."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from kedge.compiler.emit import HEAD
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
 from kedge.estimation.compiled import Engine, compiled_pass
-from kedge.estimation.rig import Rig
 from kedge.estimation.live_steps import Steps
+from kedge.estimation.rig import Rig
 from kedge.estimation.rows import EventForm
 from kedge.estimation.step import FilterState
 

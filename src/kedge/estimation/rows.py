@@ -17,12 +17,22 @@ WORD = 8
 """Bytes: all in an event's row is as long, so that its pitch is a whole number of them."""
 
 
+SENSOR, HAS_CONTROL, HAS_COV = 2, 3, 4
+"""Words of an event's row."""
+SAID = SENSOR, HAS_COV + 1
+
+
 class Part(NamedTuple):
     """Where one array lies in a vector of numbers."""
 
     name: str
     shape: tuple[int, ...]
     place: slice
+
+
+def words_of(rows: np.ndarray) -> np.ndarray:
+    """The memory of rows as words, which are copied in a tenth of the time."""
+    return rows.view(np.int64).reshape(len(rows), rows.dtype.itemsize // WORD)
 
 
 def parts(names: Any, shapes: Any) -> tuple[Part, ...]:
@@ -64,12 +74,28 @@ class EventForm:
         most = max((size**2 for size in self.sizes), default=0)
         self.dtype = np.dtype([
             ("time", np.int64), ("sequence", np.int64), ("sensor", np.int64),
-            ("target", np.int64), ("has_control", np.int64), ("has_cov", np.int64),
+            ("has_control", np.int64), ("has_cov", np.int64), ("target", np.int64),
             ("measurement", float, (widest,)), ("control", float, (size_of(self.controls),)),
             ("cov", float, (most,)), ("seconds", float), ("since", float), ("row", np.int64),
             ("held", float, (size_of(self.controls),)),
         ])  # fmt: skip
         self.pitch = self.dtype.itemsize // WORD
+        fields: Any = self.dtype.fields
+        self._words = {
+            name: slice(begin // WORD, (begin + kind.itemsize) // WORD)
+            for name, (kind, begin, *_) in fields.items()
+        }
+
+    def said(self, row: np.ndarray) -> bytes:
+        """What the words of a row say, whatever stands where nothing is said."""
+        places = [slice(*SAID)]
+        if row[SENSOR] != NO_SENSOR:
+            places += [self._words["target"], self._words["measurement"]]
+        if row[HAS_COV]:
+            places.append(self._words["cov"])
+        if row[HAS_CONTROL]:
+            places.append(self._words["control"])
+        return b"".join(row[place].tobytes() for place in places)
 
     def blank(self, count: int) -> np.ndarray:
         """Rows of events at which nothing happens."""
@@ -142,13 +168,13 @@ class AnswerForm:
 
     def outcome(self, row: Any) -> Outcome:
         """Of one row."""
-        return Outcome(*(np.asarray(row[name]) for name in Outcome._fields))
+        return Outcome(*(np.array(row[name]) for name in Outcome._fields))
 
     def tree(self, row: Any, name: str = "moments") -> Any:
         """Moments or record of one row."""
         leaves, structure = jax.tree.flatten(self._trees[name])
         group = row[name]
-        return structure.unflatten([np.asarray(group[f"f{i}"]) for i in range(len(leaves))])
+        return structure.unflatten([np.array(group[f"f{i}"]) for i in range(len(leaves))])
 
 
 def _view(block: np.ndarray, place: slice, shape: tuple[int, ...]) -> np.ndarray:
