@@ -17,7 +17,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.delayed import Order
 from kedge.estimation.log import SECOND
 from kedge.estimation.rig import Rig
-from kedge.estimation.rows import NO_SENSOR, EventForm, Part
+from kedge.estimation.rows import HAS_CONTROL, HAS_COV, NO_SENSOR, EventForm, Part
 
 FLOAT = jax.dtypes.canonicalize_dtype(float)
 IS_WIDE = FLOAT == np.float64
@@ -131,35 +131,28 @@ class Admission:
             return self._control.copy()
         return None
 
-    def checked(self, rows: np.ndarray) -> list[Admitted]:
-        """Rows from outside; a control that is not finite is taken out of them.
+    def checked(self, words: np.ndarray) -> list[Admitted]:
+        """Words of rows from outside; a control that is not finite is taken out of them.
 
         Raises:
-            DataError: they are not rows of this rig.
+            DataError: a sensor is not of this rig.
         """
-        if rows.dtype != self._form.dtype or rows.ndim != 1:
-            raise DataError(
-                f"push_many: found an array of {rows.dtype.name} numbers, expected rows as "
-                "Estimator.rows makes them, or events"
-            )
-        ranks, count = rows["sensor"].tolist(), len(self._ranks)
-        wrong = [rank for rank in ranks if not NO_SENSOR <= rank < count]
-        if wrong:
-            raise DataError(
-                f"push_many: sensor: found {wrong[0]}, expected {NO_SENSOR} to {count - 1}"
-            )
-        controls, given = rows["control"].copy(), rows["has_control"].astype(bool)
-        finite = np.isfinite(controls).all(axis=1)
-        fates = np.where(given, np.where(finite, FUSED, NOT_FINITE), NONE).tolist()
-        rows["has_control"] = given & finite
-        rows["has_cov"] = (rows["has_cov"] != 0) & (rows["sensor"] != NO_SENSOR)
-        admitted = []
-        for i, (time, rank, turn, fate) in enumerate(
-            zip(rows["time"].tolist(), ranks, rows["sequence"].tolist(), fates, strict=True)
-        ):
-            turned = rank if rank >= 0 else count if fate == NONE else -1
-            told = controls[i] if fate == FUSED else None
-            admitted.append(((time, turned, turn), told, fate))
+        heads = words[:, : HAS_COV + 1].tolist()
+        count, admitted = len(self._ranks), []
+        for row, (time, turn, rank, brings, spread) in zip(words, heads, strict=True):
+            if not NO_SENSOR <= rank < count:
+                raise DataError(
+                    f"push_many: sensor: found {rank}, expected {NO_SENSOR} to {count - 1}"
+                )
+            if spread and rank == NO_SENSOR:
+                row[HAS_COV] = 0
+            told, fate, place = None, NONE, rank if rank >= 0 else -1 if brings else count
+            if brings:
+                told = row[self._form.words["control"]].view(float).copy()
+                fate = FUSED if all(map(math.isfinite, told.tolist())) else NOT_FINITE
+                told = told if fate == FUSED else None
+                row[HAS_CONTROL] = fate == FUSED
+            admitted.append(((time, place, turn), told, fate))
         return admitted
 
     def _whose(self, rank: int) -> str:

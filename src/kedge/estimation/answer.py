@@ -6,7 +6,7 @@ import numpy as np
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.verdicts import Verdict
-from kedge.estimation.rows import AnswerForm
+from kedge.estimation.rows import CONTROL, REPLAYED, VERDICT, AnswerForm
 from kedge.estimation.step import Outcome
 
 
@@ -26,17 +26,17 @@ class Answer:
     @property
     def verdict(self) -> Verdict:
         """What became of the reading, or why the whole event changed nothing."""
-        return Verdict(int(self.row["verdict"][0]))
+        return Verdict(int(self._words[VERDICT]))
 
     @property
     def control(self) -> Verdict:
         """What became of the control: FUSED if it holds from now on."""
-        return Verdict(int(self.row["control"][0]))
+        return Verdict(int(self._words[CONTROL]))
 
     @property
     def replayed(self) -> int:
         """How many events were done again, since this one came late."""
-        return int(self.row["replayed"][0])
+        return int(self._words[REPLAYED])
 
     @property
     def moments(self) -> Gaussian:

@@ -2,17 +2,15 @@
 
 import bisect
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kedge.estimation.rows import HAS_CONTROL, NO_SENSOR, SENSOR
 
 Order = tuple[int, int, int]
-"""What events are sorted by, whatever the order in which they arrive: time in ns, turn among
-events at one time as in a log (controls, sensors as installed, the rest), turn among readings of
-one sensor at one time."""
-
+"""What events are sorted by, in whatever order they arrive: time in ns, turn among those of one
+time as in a log (controls, sensors as installed, the rest), turn among readings of a sensor."""
 
 SPARE = 32
 """Events beyond the window: to forget each as it gets old costs more than to wait."""
@@ -102,6 +100,13 @@ class Window:
         self.rows.append(row)
         self.told.append(told)
         self.words.append(words)
+
+    def extend(self, orders: Any, rows: Any, told: Any, words: Any) -> None:
+        """Events more, newer than all others."""
+        self.orders.extend(orders)
+        self.rows.extend(rows)
+        self.told.extend(told)
+        self.words.extend(words)
 
     def insert(
         self, place: int, order: Order, row: np.ndarray, told: np.ndarray | None

@@ -20,6 +20,10 @@ BATCH = 64
 """Events that one call takes at most: what comes late is done again from the end of a call."""
 
 
+Trail = list[Any]
+"""Words after each event, None where they are not kept; those after the last are."""
+
+
 class Steps(abc.ABC):
     """The event step for one rig over ``rows``; what an event leaves stands in ``answers``.
 
@@ -44,8 +48,8 @@ class Steps(abc.ABC):
         self._events, self._state = events, state
 
     @abc.abstractmethod
-    def run(self, count: int, words: np.ndarray) -> list[np.ndarray]:
-        """The first ``count`` rows done from ``words`` on; the words after the last of them."""
+    def run(self, count: int, words: np.ndarray) -> Trail:
+        """The first ``count`` rows done from ``words`` on; the words after each of them."""
 
     @abc.abstractmethod
     def record(self, count: int, words: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Waiting events by the machine code of a pass, over rows of memory that stay in place."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,12 +11,14 @@ from kedge.compiler.emit import HEAD
 from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import ContractError
 from kedge.estimation.compiled import Engine, compiled_pass
-from kedge.estimation.live_steps import Steps
+from kedge.estimation.live_steps import BATCH, Steps, Trail
 from kedge.estimation.rig import Rig
 from kedge.estimation.rows import EventForm
 from kedge.estimation.step import FilterState
 
 NO_EVENT = -1
+STRETCH = 16
+"""Events after which the words are kept: what is late is done again from there."""
 ENDLESS = 2**62
 """Events to come: so many that a long program is worth its compilation."""
 
@@ -50,19 +53,26 @@ class NativeSteps(Steps):
         self._carry = np.zeros(0, np.int64)
         self._known: Any = None  # whose numbers stand in the carry
         plain = self._program(NO_EVENT)
-        self._plain_block, self._plain_call = plain.block, plain.call
+        self._plain = [plain.stretch(begin) for begin in range(0, BATCH, STRETCH)]
 
-    def run(self, count: int, words: np.ndarray) -> list[np.ndarray]:
-        """The first ``count`` rows done, and the words after the last of them."""
+    def run(self, count: int, words: np.ndarray) -> Trail:
+        """The first ``count`` rows done; the words after some of them, and after the last."""
         if words is not self._known:
             self._carry[:] = words
-        if not (self._has_cov[0] if count == 1 else self._has_cov[:count].any()):
-            self._plain_block[0] = count
-            self._plain_call()
-        else:
+        trail: Trail = [None] * count
+        if self._has_cov[0] if count == 1 else self._has_cov[:count].any():
             self._mixed(count, False)
-        self._known = after = self._carry.copy()
-        return [after]
+        else:
+            for begin, (block, call) in zip(
+                range(0, count, STRETCH), self._plain, strict=False
+            ):
+                end = block[0] = min(STRETCH, count - begin)
+                call()
+                trail[begin + end - 1] = self._carry.copy()
+            self._known = trail[-1]
+            return trail
+        self._known = trail[-1] = self._carry.copy()
+        return trail
 
     def record(self, count: int, words: np.ndarray) -> np.ndarray:
         """The same with what a smoother needs of each, in ``recorded``; the last words."""
@@ -153,8 +163,7 @@ class Program:
         # By the number of the result: the time, which stays as it came, then the fields.
         outputs = [fields[place - 1] for place in kernel.places]
         self.block = kernel.block([*self._kept[0], None], outputs, carry, 0, 0, 1, anew=False)
-        address, call = self.block.ctypes.data, kernel.code.call
-        self.call = lambda: call(address)
+        self._call = kernel.code.call
         self._whole, self._step = self.block.copy(), np.zeros_like(self.block)
         first = len(fixed) - len(rows)
         for number, array in enumerate(rows, start=first):
@@ -166,5 +175,10 @@ class Program:
         """Do the rows from ``begin`` to ``end``."""
         self.block[:] = self._whole + begin * self._step
         self.block[0] = end - begin
-        self.call()
-        self.block[:] = self._whole
+        self._call(self.block.ctypes.data)
+
+    def stretch(self, begin: int) -> tuple[np.ndarray, Callable[[], None]]:
+        """Rows from ``begin`` on: a block whose first word says how many, and the call."""
+        block, call = self._whole + begin * self._step, self._call
+        address = block.ctypes.data
+        return block, lambda: call(address)

@@ -66,7 +66,7 @@ class Estimator:
         filter: AbstractFilter,
         rig: Rig,
         key: PRNGKeyArray | None = None,
-        start: float | None = None,
+        start: Any = None,
         control: Any = None,
         lag: float = 0.0,
         horizon: float = math.inf,
@@ -102,7 +102,7 @@ class Estimator:
         still = jax.tree.map(_floats, rig.vehicle.nominal_control(0.0))
         self._form, state = EventForm(rig, still), begin_live(self._filter, self._rig, key)
         steps = _steps(self._filter, self._rig, self._form, state, key, engine)
-        self._steps = steps
+        self._steps, self._first = steps, steps.row_words
         self._admission = Admission(rig, self._form, steps.rows, still, self._unit)
         held: Any = np.zeros_like(steps.rows["held"][0])
         if control is not None:
@@ -128,7 +128,7 @@ class Estimator:
         return self._names
 
     @property
-    def time(self) -> float:
+    def time(self) -> Any:
         """Time of the newest event, as its clock counts."""
         return self._told(self._line.time)
 
@@ -148,7 +148,7 @@ class Estimator:
 
     def push(
         self,
-        time: float,
+        time: Any,
         sensor: str | None = None,
         measurement: Any = None,
         *,
@@ -187,26 +187,30 @@ class Estimator:
                 have been done.
         """
         self._belongs_here()
-        rows = events.copy() if isinstance(events, np.ndarray) else self.rows(events)
-        admitted, words = self._admission.checked(rows), words_of(rows)
-        orders, told, fates = zip(*admitted, strict=True) if admitted else ((), (), ())
-        if not self._knows_start and orders:
-            self._check_clock(orders[0][0])
-        line, first = self._line, self._steps.row_words
+        rows = events if isinstance(events, np.ndarray) else self.rows(events)
+        if rows.dtype != self._form.dtype or rows.ndim != 1:
+            raise DataError(
+                f"push_many: found an array of {rows.dtype.name} numbers, expected rows as "
+                "Estimator.rows makes them, or events"
+            )
+        words = words_of(np.ascontiguousarray(rows)).copy()
+        admitted, line, first = self._admission.checked(words), self._line, self._first
+        if not self._knows_start and admitted:
+            self._check_clock(admitted[0][0][0])
         answers = np.zeros(len(rows), self._steps.form.dtype)
         written, place, gap = words_of(answers), 0, min(self._horizon, self._longest)
-        while place < len(rows):
-            end = line.in_order(orders, place, gap)
+        while place < len(admitted):
+            end = line.in_order(admitted, place, gap)
             if end <= place + 1:
                 first[0] = words[place]
                 written[place] = self._one(admitted[place])
                 place += 1
                 continue
             first[: end - place] = words[place:end]
-            written[place:end] = line.append(orders[place:end], told[place:end])
-            answers["control"][place:end] = fates[place:end]
-            for control in told[place:end]:
-                self._clip(control)
+            written[place:end] = line.append(admitted[place:end])
+            if self._limits is not None:
+                for _, told, _ in admitted[place:end]:
+                    self._clip(told)
             place = end
         return answers
 
@@ -232,7 +236,7 @@ class Estimator:
         """Objects of what :meth:`push_many` returned."""
         return [Answer(self._steps.form, words) for words in words_of(rows)]
 
-    def peek(self, time: float) -> Gaussian:
+    def peek(self, time: Any) -> Gaussian:
         """What it will believe at ``time`` if nothing comes until then; nothing changes.
 
         Raises:
@@ -249,7 +253,7 @@ class Estimator:
             )
         return Answer(self._steps.form, self._line.peek(at)).moments
 
-    def smoothed(self) -> list[tuple[float, Gaussian]]:
+    def smoothed(self) -> list[tuple[Any, Gaussian]]:
         """The estimates of the window in the light of all its readings: a fixed-lag smoother.
 
         The first is the most certain about the past: everything of the ``lag`` seconds after
@@ -293,27 +297,24 @@ class Estimator:
 
     def _one(self, event: Admitted) -> np.ndarray:
         """The event in the first row; the words of its answer."""
-        order, told, fate = event
+        order, told, _ = event
         if not self._knows_start:
             self._check_clock(order[0])
         passed = order[0] - self._line.time
         if self._longest < passed <= self._horizon:
             what = f"event at {self._told(order[0]):g} s: the step since the event before"
             check_step(self._vehicle, passed / SECOND, what)
-        words, done = self._line.one(order, told, self._horizon)
-        if done and fate != NONE:
-            words.view(self._steps.form.dtype)["control"] = fate
+        words, done = self._line.one(event, self._horizon)
+        if told is not None and self._limits is not None and done:
             self._clip(told)
-        elif not done and fate == NONE:
-            words.view(self._steps.form.dtype)["control"] = NONE
         return words
 
     def _clip(self, told: np.ndarray | None) -> None:
-        if told is not None and self._limits is not None:
+        if told is not None:
             for label in beyond(self._form.control(told), self._limits):
                 self.clipped[label] = self.clipped.get(label, 0) + 1
 
-    def _told(self, time: int) -> float:
+    def _told(self, time: int) -> Any:
         """A time as the clock counts."""
         return time if self._unit == NS else time / SECOND
 

@@ -20,6 +20,9 @@ WORD = 8
 SENSOR, HAS_CONTROL, HAS_COV = 2, 3, 4
 """Words of an event's row."""
 SAID = SENSOR, HAS_COV + 1
+ANSWER = ["verdict", "control", "replayed", "time"]
+"""The first words of an answer's row."""
+VERDICT, CONTROL, REPLAYED = range(3)
 
 
 class Part(NamedTuple):
@@ -81,7 +84,7 @@ class EventForm:
         ])  # fmt: skip
         self.pitch = self.dtype.itemsize // WORD
         fields: Any = self.dtype.fields
-        self._words = {
+        self.words = {
             name: slice(begin // WORD, (begin + kind.itemsize) // WORD)
             for name, (kind, begin, *_) in fields.items()
         }
@@ -90,11 +93,11 @@ class EventForm:
         """What the words of a row say, whatever stands where nothing is said."""
         places = [slice(*SAID)]
         if row[SENSOR] != NO_SENSOR:
-            places += [self._words["target"], self._words["measurement"]]
+            places += [self.words["target"], self.words["measurement"]]
         if row[HAS_COV]:
-            places.append(self._words["cov"])
+            places.append(self.words["cov"])
         if row[HAS_CONTROL]:
-            places.append(self._words["control"])
+            places.append(self.words["control"])
         return b"".join(row[place].tobytes() for place in places)
 
     def blank(self, count: int) -> np.ndarray:
@@ -114,8 +117,8 @@ class EventForm:
             targets: Any = rows["target"]
             readings.append(Readings(measures(*leaves), targets, cov))
         controls = [_view(rows["held"], p.place, p.shape) for p in self.controls]
-        schedule: Any = Schedule(rows["seconds"], rows["sensor"], rows["row"])
-        return Log(schedule, self._control.unflatten(controls), tuple(readings))
+        when: Any = [rows[name] for name in ("seconds", "sensor", "row")]
+        return Log(Schedule(*when), self._control.unflatten(controls), tuple(readings))
 
     def reading(self, row: Any, dtype: Any) -> Readings:
         """That of one row, in memory of its own."""
@@ -142,16 +145,25 @@ class AnswerForm:
 
     def __init__(self, silence: Outcome, moments: Any, record: Any = None):
         self._trees = {"moments": moments, "record": record}
-        formats: list[Any] = [(n, v.dtype, v.shape) for n, v in silence._asdict().items()]
+        formats: list[Any] = [(name, np.int64) for name in ANSWER]
         for name, leaves in self._leaves():
             inside = [(f"f{i}", leaf.dtype, leaf.shape) for i, leaf in enumerate(leaves)]
             formats.append((name, np.dtype(inside, align=True)))
-        formats += [("control", np.int64), ("replayed", np.int64), ("time", np.int64)]
+        others = [
+            (name, leaf) for name, leaf in silence._asdict().items() if name not in ANSWER
+        ]
+        # What is of 64 bits first: the words of the moments are then theirs alone.
+        others.sort(key=lambda pair: -pair[1].dtype.itemsize)
+        formats += [(name, leaf.dtype, leaf.shape) for name, leaf in others]
         self.dtype = np.dtype(formats, align=True)
+        begin, size = len(ANSWER), self.dtype["moments"].itemsize
+        self.moments = slice(begin, begin - -size // WORD)
+        """Words of an answer's row."""
         self.silence = np.zeros(1, self.dtype)
         for name, leaf in silence._asdict().items():
             self.silence[name] = leaf
         self.silence["control"] = Verdict.NONE
+        self.quiet = words_of(self.silence)[0]
 
     def _leaves(self) -> list[tuple[str, list[Any]]]:
         leaves = {name: jax.tree.leaves(tree) for name, tree in self._trees.items()}
@@ -168,7 +180,8 @@ class AnswerForm:
 
     def outcome(self, row: Any) -> Outcome:
         """Of one row."""
-        return Outcome(*(np.array(row[name]) for name in Outcome._fields))
+        values: Any = [np.array(row[name]) for name in Outcome._fields]
+        return Outcome(*values)
 
     def tree(self, row: Any, name: str = "moments") -> Any:
         """Moments or record of one row."""

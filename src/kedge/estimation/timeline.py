@@ -8,14 +8,17 @@ import numpy as np
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.verdicts import Verdict
+from kedge.estimation.admission import Admitted
 from kedge.estimation.delayed import Order, Window
-from kedge.estimation.live_steps import BATCH, Steps
+from kedge.estimation.live_steps import BATCH, Steps, Trail
 from kedge.estimation.log import SECOND
-from kedge.estimation.rows import NO_SENSOR
+from kedge.estimation.rows import CONTROL, NO_SENSOR, REPLAYED, VERDICT
 from kedge.estimation.smoother import backward
 
 Told = np.ndarray | None
 """The control that an event brings, as a vector."""
+FEW = 6
+"""Controls that are put into rows one by one sooner than all at once."""
 FUSED, NONE = int(Verdict.FUSED), int(Verdict.NONE)
 
 
@@ -40,7 +43,7 @@ class Timeline:
             window.held(0),
         )
         """ns, words and control after the newest event."""
-        self._start, self._silence = start, steps.form.silence
+        self._start, self._numbers = start, np.arange(BATCH)
         self.newest, self.heard = newest, heard
         """An answer that holds the newest moments; by rank of some sensors the ns of the last
         reading that was fused."""
@@ -50,73 +53,73 @@ class Timeline:
         self._at, self._seconds, self._since, self._row, self._held = (
             steps.rows[name] for name in ("time", "seconds", "since", "row", "held")
         )
+        self._brought = steps.rows["control"]
         self._control, self._replayed, self._told_at = (
             steps.answers[name] for name in ("control", "replayed", "time")
         )
 
-    def one(self, order: Order, told: Told, horizon: float) -> tuple[np.ndarray, bool]:
+    def one(self, event: Admitted, horizon: float) -> tuple[np.ndarray, bool]:
         """The event in the first row: its answer, and whether it was done."""
+        order, _, fate = event
         time, window = order[0], self.window
         if time > self.time:
             if time - self.time > horizon:
-                return self.refused(Verdict.FUTURE), False
-            return self._append_one(order, told), True
+                return self._refused(Verdict.FUTURE, fate), False
+            return self._append_one(event), True
         if window.too_late(time):
-            return self.refused(Verdict.LATE), False
+            return self._refused(Verdict.LATE, fate), False
         if window.holds(order, self._words[0]):
-            return self.refused(Verdict.DUPLICATE), False
+            return self._refused(Verdict.DUPLICATE, fate), False
         place = window.place(order)
         if place == len(window.orders):
-            return self._append_one(order, told), True
-        return self._insert(place, order, told), True
+            return self._append_one(event), True
+        return self._insert(place, event), True
 
-    def refused(self, verdict: Verdict) -> np.ndarray:
-        """The answer to an event that changes nothing."""
+    def _refused(self, verdict: Verdict, fate: int) -> np.ndarray:
         # By NumPy alone: to refuse is not to cost more than to fuse.
-        row = self._silence.copy()
-        row["verdict"] = row["control"] = int(verdict)
-        row["moments"] = self.newest.view(row.dtype)["moments"]
-        return row.view(np.int64)
+        row, moments = self.steps.form.quiet.copy(), self.steps.form.moments
+        row[VERDICT], row[CONTROL] = verdict, NONE if fate == NONE else verdict
+        row[moments] = self.newest[moments]
+        return row
 
-    def in_order(self, orders: Sequence[Order], place: int, gap: float) -> int:
+    def in_order(self, events: Sequence[Admitted], place: int, gap: float) -> int:
         """The end of the events from ``place`` on that one call does: each behind the last."""
         window = self.window
         last: Order = (self.time, -2, 0)
         if window.orders:  # without a lag those of one time stand as they came
             last = window.orders[-1] if window.lag else max(window.orders)
-        most = min(len(orders), place + BATCH)
-        if orders[place][0] <= window.closed:
+        most = min(len(events), place + BATCH)
+        if events[place][0][0] <= window.closed:
             return place
         for end in range(place, most):
-            order = orders[end]
+            order = events[end][0]
             if order <= last or order[0] - last[0] > gap:
                 return end
             last = order
         return most
 
-    def append(self, orders: Sequence[Order], told: Sequence[Told]) -> np.ndarray:
+    def append(self, events: Sequence[Admitted]) -> np.ndarray:
         """The first rows done, each behind the last."""
-        window, count = self.window, len(orders)
-        newest, held = self.time, self.held
-        for i, (order, control) in enumerate(zip(orders, told, strict=True)):
-            self._between(i, newest, order[0], held)
-            newest, held = order[0], held if control is None else control
+        window, count = self.window, len(events)
+        orders, told, fates = zip(*events, strict=True)
+        times = [order[0] for order in orders]
+        self._at[:count] = times
+        held = self._follow(self.time, told, self.held)
         trail = self.steps.run(count, self.after)
-        words = [None] * (count - len(trail)) + trail
-        rows = self._words[:count].copy()
-        for i, order in enumerate(orders):
-            window.append(order, rows[i], told[i], words[i])
-        self.time, self.held, self.after = newest, held, trail[-1]
-        window.forget()
-        self._control[:count], self._replayed[:count] = NONE, 0
-        self._told_at[:count] = self._at[:count]
+        window.extend(orders, list(self._words[:count].copy()), told, trail)
+        self.time, self.held, self.after = times[-1], held, trail[-1]
+        if len(window.orders) > window.full:
+            window.forget()
         answers = self._answers[:count]
+        self._control[:count], self._replayed[:count], self._told_at[:count] = fates, 0, times
         self.newest = answers[-1].copy()
-        self._hear(count)
+        if self.heard:
+            self._hear(count)
         return answers
 
-    def _append_one(self, order: Order, told: Told) -> np.ndarray:
-        time, window = order[0], self.window
+    def _append_one(self, event: Admitted) -> np.ndarray:
+        (order, told, fate), window = event, self.window
+        time = order[0]
         self._between(0, self.time, time, self.held)
         after = self.steps.run(1, self.after)[0]
         window.append(order, self._words[0].copy(), told, after)
@@ -125,26 +128,27 @@ class Timeline:
         self.time, self.after = time, after
         if len(window.orders) > window.full:
             window.forget()
-        self._control[0], self._replayed[0], self._told_at[0] = NONE, 0, time
+        self._control[0], self._replayed[0], self._told_at[0] = fate, 0, time
         self.newest = answer = self._answers[0].copy()
         if self.heard:
             self._hear(1)
         return answer
 
-    def _insert(self, place: int, order: Order, told: Told) -> np.ndarray:
+    def _insert(self, place: int, event: Admitted) -> np.ndarray:
         """A late event put where it belongs, and what follows done again."""
-        window = self.window
+        (order, told, fate), window = event, self.window
         self._at[0] = order[0]
         begin, words = window.before(place)
         window.insert(place, order, self._words[0].copy(), told)
-        carried: list[Told] = []
+        carried: Trail = []
         answer, newest, heard = self.newest, self.newest, dict(self.heard)
         try:
             for start in range(begin, len(window.orders), BATCH):
                 count = self._gather(start)
                 trail = self.steps.run(count, words)
-                carried += [None] * (count - len(trail)) + trail
+                carried += trail
                 words = trail[-1]
+                self._told_at[:count] = self._at[:count]
                 if start <= place < start + count:
                     answer = self._answers[place - start].copy()
                 newest = self._answers[count - 1].copy()
@@ -155,10 +159,9 @@ class Timeline:
             raise
         window.words[begin:] = carried
         self.after, self.held, self.newest = words, window.held(len(window.orders)), newest
-        row = answer.view(self._silence.dtype)
-        row["moments"] = newest.view(row.dtype)["moments"]
-        row["replayed"], row["time"] = len(window.orders) - 1 - place, order[0]
-        row["control"] = NONE
+        moments = self.steps.form.moments
+        answer[CONTROL], answer[REPLAYED] = fate, len(window.orders) - 1 - place
+        answer[moments] = newest[moments]
         window.forget()
         return answer
 
@@ -217,17 +220,34 @@ class Timeline:
         count = len(rows)
         np.concatenate(rows, out=self._words[:count].reshape(-1))
         newest = window.orders[begin - 1][0] if begin else window.origin.time
-        held = window.held(begin)
-        for i in range(count):
-            time, told = window.orders[begin + i][0], window.told[begin + i]
-            self._between(i, newest, time, held)
-            newest, held = time, held if told is None else told
+        self._follow(newest, window.told[begin : begin + count], window.held(begin))
         return count
+
+    def _follow(self, newest: int, told: Sequence[Any], held: np.ndarray) -> np.ndarray:
+        """:meth:`_between` for events that follow each other; the control after the last."""
+        count, seconds = len(told), self._seconds
+        seconds[:count] = (self._at[:count] - self._start) / SECOND
+        self._since[0] = float(newest - self._start) / SECOND
+        self._since[1:count] = seconds[: count - 1]
+        self._row[:count], self._held[:count] = self._numbers[:count], held
+        brought = [place for place, control in enumerate(told) if control is not None]
+        if len(brought) <= FEW:
+            for place in brought:
+                self._held[place + 1 : count] = told[place]
+        else:
+            before = np.searchsorted(brought, self._numbers[:count])  # how many came earlier
+            later = before > 0
+            self._held[:count][later] = self._brought[np.take(brought, before[later] - 1)]
+        if brought:
+            held = told[brought[-1]]
+        return held
 
     def _between(self, place: int, since: int, time: int, held: np.ndarray) -> None:
         """What the row at ``place`` says of the time until its event."""
-        self._seconds[place], self._held[place] = (time - self._start) / SECOND, held
-        self._since[place], self._row[place] = (since - self._start) / SECOND, place
+        # Rounded as an array of them is.
+        self._seconds[place] = float(time - self._start) / SECOND
+        self._since[place] = float(since - self._start) / SECOND
+        self._held[place], self._row[place] = held, place
         self._at[place] = time
 
 

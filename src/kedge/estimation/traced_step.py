@@ -9,7 +9,7 @@ from jaxtyping import PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.admission import FLOAT
-from kedge.estimation.live_steps import Steps, moments_of
+from kedge.estimation.live_steps import Steps, Trail, moments_of
 from kedge.estimation.rig import Rig
 from kedge.estimation.rows import NO_SENSOR, EventForm
 from kedge.estimation.step import FilterState, predict_to, process_measurement
@@ -32,7 +32,7 @@ class TracedSteps(Steps):
         self._shapes = [(np.shape(leaf), leaf.dtype) for leaf in jax.tree.leaves(state)]
         self._known: tuple[Any, Any] = None, None
 
-    def run(self, count: int, words: np.ndarray) -> list[np.ndarray]:
+    def run(self, count: int, words: np.ndarray) -> Trail:
         """The first ``count`` rows done, and the words after each of them."""
         return self._run(count, words, self.answers, False)
 
@@ -68,15 +68,15 @@ class TracedSteps(Steps):
             begin += count * dtype.itemsize
         return self._structure.unflatten(leaves)
 
-    def _run(self, count: int, words: Any, answers: Any, record: bool) -> list[np.ndarray]:
+    def _run(self, count: int, words: Any, answers: Any, record: bool) -> Trail:
         state = self._known[1] if words is self._known[0] else self.unpack(words)
         form, trail = self.recorded_form if record else self.form, []
         for place in range(count):
             row = self.rows[place]
             control = self._events.control(row["held"], FLOAT)
-            time = np.asarray(row["seconds"], FLOAT)
+            time: Any = np.asarray(row["seconds"], FLOAT)
             # With all its digits, whatever the type of the arrays.
-            dt = np.asarray(row["seconds"] - row["since"], FLOAT)
+            dt: Any = np.asarray(row["seconds"] - row["since"], FLOAT)
             state, past = _predict_to(
                 self._filter, self._rig.vehicle, state, control, time, self._key, record, dt
             )
