@@ -31,3 +31,42 @@ def test_push(times):
         found["native"][1].moments.cov, found["xla"][1].moments.cov, rtol=1e-9
     )
     times.row("push, unicycle with GNSS", "kedge by XLA", found["xla"][0], found["native"][0])
+
+
+def test_waiting(times):
+    """Ten events that wait, in one call and one by one; and a fix 150 ms late at 100 Hz."""
+    vehicle = kedge.make_vehicle("unicycle", speed_noise=0.1, yaw_rate_noise=0.02)
+    gnss = kedge.make_sensor("gnss", std=1.0)
+    rig = kedge.Rig(
+        vehicle,
+        (kedge.Installation("gnss", gnss, gate=0.001),),
+        kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(3)),
+    )
+    fix = gnss.measures(np.zeros(2))
+
+    def made():
+        estimator = kedge.Estimator(kedge.make_filter("extended"), rig, lag=2.0)
+        estimator.ready()
+        return estimator
+
+    singly, many = made(), made()
+    one, batch, late = [], [], []
+    for i in range(PUSHES):
+        events = [kedge.Event(0.1 * i + 0.01 * k) for k in range(1, 10)]
+        events.append(kedge.Event(0.1 * (i + 1), "gnss", fix))
+        rows = many.rows(events)
+        begin = time.perf_counter()
+        answers = many.push_many(rows)
+        batch.append((time.perf_counter() - begin) / 10)
+        begin = time.perf_counter()
+        for event in events:
+            answer = singly.push(event.time, event.sensor, event.measurement)
+        one.append((time.perf_counter() - begin) / 10)
+        assert answers["nis"][-1] == answer.outcome.nis
+        begin = time.perf_counter()
+        singly.push(singly.time - 0.15 - 1e-3, "gnss", fix)
+        late.append(time.perf_counter() - begin)
+        many.push(many.time - 0.15 - 1e-3, "gnss", fix)
+    best = [float(np.median(taken[10:])) for taken in (one, batch, late)]
+    times.row("ten waiting events, each", "kedge singly", best[0], best[1])
+    times.row("a fix 150 ms late, 2 s window", "kedge on time", best[0], best[2])

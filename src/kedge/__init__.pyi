@@ -31,6 +31,7 @@ from kedge.core.registry import make_filter as make_filter
 from kedge.core.registry import make_sensor as make_sensor
 from kedge.core.registry import make_vehicle as make_vehicle
 from kedge.core.verdicts import Verdict as Verdict
+from kedge.estimation.answer import Event as Event
 from kedge.estimation.batch import Estimates as Estimates
 from kedge.estimation.batch import estimate as estimate
 from kedge.estimation.compilation_cache import use_compilation_cache as use_compilation_cache

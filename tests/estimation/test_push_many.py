@@ -8,6 +8,7 @@ import pytest
 from kedge.core.errors import ContractError, DataError
 from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
+from kedge.estimation import native
 from kedge.estimation.answer import Event
 from kedge.estimation.online import Estimator
 from kedge.filters.gaussian.extended import ExtendedKalman
@@ -152,3 +153,40 @@ def test_an_answer_that_is_written_into_spoils_nothing(rig, key):
     answer.moments.cov[:] = np.nan
     assert np.isfinite(estimator.push(0.5, "gnss", EAST).moments.cov).all()
     assert np.isfinite(jnp.asarray(estimator.belief.cov)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["extended", "ensemble"])
+@pytest.mark.parametrize("engine", ["native", "xla"])
+def test_after_ready_nothing_compiles(name, engine, rig, key, monkeypatch):
+    """Neither a first covariance, refusal or look ahead nor the smoother of the window."""
+    if name == "ensemble" and engine == "native":
+        pytest.skip("it draws random numbers")
+    estimator = Estimator(filters.make(name), rig, key, lag=0.5, horizon=10.0, engine=engine)
+    before = estimator.push(0.01).row
+    estimator.ready()
+    compiled = []
+    heard = jax.monitoring.register_event_duration_secs_listener
+    heard(lambda event, *_, **__: compiled.append(event) if "compile" in event else None)
+    monkeypatch.setattr(native, "_compiled", lambda *_: compiled.append("machine code"))
+    try:
+        for event in story(np.random.default_rng(0))[:60]:
+            estimator.push(**event._asdict())
+            estimator.push(event.time, "camera", Sight(20.0, 0.8), cov=np.eye(2) * 0.1)
+        estimator.push(99.0, "gnss", EAST)
+        estimator.peek(estimator.time + 0.1)
+        estimator.smoothed()
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert compiled == []
+    assert before["verdict"] == Verdict.NONE
+
+
+def test_to_be_ready_changes_nothing(rig, key):
+    one, other = (Estimator(ExtendedKalman(), rig, key, lag=0.5) for _ in range(2))
+    for estimator in (one, other):
+        estimator.push(0.5, "gnss", EAST, control=Control(1.0, 0.1))
+    one.ready()
+    answers = [estimator.push(0.4, "gnss", EAST).row for estimator in (one, other)]
+    assert bits(answers[0]) == bits(answers[1])
+    assert one.time == other.time == 0.5

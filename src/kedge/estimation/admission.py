@@ -188,7 +188,8 @@ def nanoseconds(time: Any, unit: float) -> int:
         value = MOST_NS
     if not -MOST_NS < value < MOST_NS:
         what = "whole nanoseconds" if unit == NS else "seconds"
-        raise DataError(f"event time is {time}; expected {what} since the start")
+        hint = " (whole nanoseconds with clock='ns')" if value > MOST_NS and unit != NS else ""
+        raise DataError(f"event time is {time}; expected {what} since the start{hint}")
     return value
 
 

@@ -69,7 +69,7 @@ class Estimator:
         start: Any = None,
         control: Any = None,
         lag: float = 0.0,
-        horizon: float = math.inf,
+        horizon: float = 600.0,
         capacity: int = 10_000,
         engine: Engine = "auto",
         clock: Literal["s", "ns"] = "s",
