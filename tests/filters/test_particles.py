@@ -292,7 +292,7 @@ def test_a_start_nobody_knows_is_found_in_the_first_reading(start, key):
         # From the second reading on it weighs its own particles.
         assert np.isin(second.states.position, first.states.position).all()
     else:
-        # Hardly any of its own explains the fix: the few are widened, and it does not feign 20 m.
+        # Hardly any of its own explains the fix: the few are widened, to no feigned 20 m.
         assert score.effective_size < 3
         assert score.repairs == 1
         assert (spread[:2] > 100).all()
