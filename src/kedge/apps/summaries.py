@@ -7,6 +7,7 @@ from typing import Any
 
 from kedge import __version__
 from kedge.apps.console import command_line
+from kedge.checking.summary import CheckSummary
 from kedge.estimation.compiled import compiler
 from kedge.evaluation.fix_scores import LocateSummary
 from kedge.evaluation.record import schema
@@ -45,7 +46,9 @@ def provenance(
 
 def summary_schema() -> dict[str, Any]:
     """The JSON schema of ``summary.json``, whichever command left it."""
-    return schema("Summary of a kedge command", LogSummary, LocateSummary, StudySummary)
+    return schema(
+        "Summary of a kedge command", LogSummary, LocateSummary, StudySummary, CheckSummary
+    )
 
 
 def facts_of(about: Provenance) -> dict[str, str]:

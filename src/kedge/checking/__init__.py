@@ -1,0 +1,1 @@
+"""Whether a rig is honest on a log, without truth: hypotheses, predictions, observability."""
