@@ -1,12 +1,15 @@
 """The command line. Commands import what they need when they run, so ``--help`` is quick."""
 
+import importlib
+import pkgutil
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 import typer.main
 
 from kedge import __version__
+from kedge.apps import commands
 from kedge.apps import tune_options as tuning
 from kedge.apps.console import (
     check_requirements,
@@ -44,10 +47,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-datasets_app = typer.Typer(help="Recorded data sets.", no_args_is_help=True)
-config_app = typer.Typer(help="Configuration files.", no_args_is_help=True)
-app.add_typer(datasets_app, name="datasets")
-app.add_typer(config_app, name="config")
+for _, name, _ in pkgutil.iter_modules(commands.__path__):
+    app.add_typer(importlib.import_module(f"{commands.__name__}.{name}").app)
 
 
 @app.command("list")
@@ -296,58 +297,6 @@ def tune(
 
 
 @app.command()
-def check(
-    rig: Annotated[
-        str | None, typer.Argument(help="A shipped rig's name or a TOML file.")
-    ] = None,
-    log: Annotated[
-        str | None, typer.Argument(metavar="LOG", help="A log folder or a data set; PATH#PART.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results.")] = None,
-    filter: Annotated[str | None, typer.Option(help="Instead of the rig's own.")] = None,
-    until: Until = None,
-    set_: Set = None,
-    require_: Require = None,
-    report: Report = True,
-    self_test: Annotated[
-        int, typer.Option(help="Check so many simulated logs with each known fault planted.")
-    ] = 0,
-    as_json: Json = False,
-) -> None:
-    """Is a rig honest on a log, without truth? What is wrong, and what to write instead."""
-    from kedge.apps.check import check_log, self_test_table
-
-    if self_test:
-        self_test_table(self_test, as_json)
-    else:
-        check_log(rig, log, out, filter, until, set_, require_ or [], report, as_json)
-
-
-@app.command()
-def allan(
-    log: Source,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results.")] = None,
-    source: Annotated[
-        str | None, typer.Option(help="The IMU's source in the log; its first, if not said.")
-    ] = None,
-    format: Annotated[str, typer.Option(help="The log's format.")] = "folder",
-    as_json: Json = False,
-) -> None:
-    """The noise of an IMU (N, B, K) from a record of it standing still."""
-    from kedge.apps.allan import execute, print_allan
-
-    summary = execute(log, format, source, out)
-    if as_json:
-        print_json(summary)
-        return
-    print_allan(summary)
-    for note in summary["notes"]:
-        print(f"note: {note}")
-    if out is not None:
-        print(f"\nresults: {out / 'summary.json'}")
-
-
-@app.command()
 def demo(
     out: Out = Path("kedge-demo"),
     until: Until = None,
@@ -359,51 +308,6 @@ def demo(
 
     problem = demo_problem(until)
     finish(execute(problem, FILTERS, out, "demo", 0), out, [], as_json, print_filters)
-
-
-@datasets_app.command("list")
-def datasets_list(as_json: Json = False) -> None:
-    """Data sets that kedge knows, and where each is on this machine."""
-    from kedge.apps.catalogue import catalogue, print_catalogue
-
-    families = catalogue("datasets")
-    if as_json:
-        print_json(families)
-    else:
-        print_catalogue(families)
-
-
-@datasets_app.command("fetch")
-def datasets_fetch(name: str) -> None:
-    """Download a data set from its original source, and check every file."""
-    from kedge.apps.console import console_progress
-    from kedge.datasets.fetch import dataset, fetch
-
-    with console_progress() as progress:
-        progress(f"{name}: {dataset(name).url}")
-        folder = fetch(name)
-    print(folder)
-
-
-@datasets_app.command("path")
-def datasets_path(name: str) -> None:
-    """Print where a data set is."""
-    from kedge.datasets.fetch import require_located
-
-    print(require_located(name))
-
-
-@config_app.command("schema")
-def config_schema(
-    of: Annotated[
-        Literal["rig", "log", "summary"],
-        typer.Argument(help="A rig file, a log.toml, or a summary.json."),
-    ] = "rig",
-) -> None:
-    """Print a JSON schema: of rig files, log.toml, or what commands leave as summary.json."""
-    from kedge.apps.catalogue import schema
-
-    print_json(schema(of))
 
 
 @app.callback(invoke_without_command=True)
