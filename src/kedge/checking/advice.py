@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kedge.checking.check import Checked, Seen
+from kedge.checking.check import Checked, Evidence
 from kedge.checking.search import Trial
 from kedge.checking.setting import CONTROL, noise_of
 from kedge.checking.summary import (
@@ -42,11 +42,13 @@ def findings(checked: Checked, names: Names) -> list[Finding]:
             f"{name}: reads the same from {begin:.1f} s to {end:.1f} s while the vehicle moves",
             "leave these readings out, or look at the driver",
         )
-        for name, seen in checked.sensors.items()
-        for begin, end in seen.stuck
+        for name, evidence in checked.sensors.items()
+        for begin, end in evidence.stuck
     ]  # fmt: skip
-    held = [_finding(checked, trial, names) for trial in checked.trials]
-    return stuck + held + [f for n, s in checked.sensors.items() for f in _unexplained(n, s)]
+    supported = [_finding(checked, trial, names) for trial in checked.trials]
+    return (
+        stuck + supported + [f for n, s in checked.sensors.items() for f in _unexplained(n, s)]
+    )
 
 
 def _finding(checked: Checked, trial: Trial, names: Names) -> Finding:
@@ -97,21 +99,21 @@ def _scale_advice(checked: Checked, name: str, part: str, factor: float) -> str:
     rig = checked.setting.rig
     if name == CONTROL:
         vehicle = rig.vehicle.vehicle if isinstance(rig.vehicle, Augmented) else rig.vehicle
-        own = getattr(vehicle, f"{part}_scale", None)
-        if own is not None and np.ndim(own) == 0:
-            return f"[vehicle] parameters.{part}_scale = {float(own) * factor:.4g}"
+        scale = getattr(vehicle, f"{part}_scale", None)
+        if scale is not None and np.ndim(scale) == 0:
+            return f"[vehicle] parameters.{part}_scale = {float(scale) * factor:.4g}"
     return f"multiply the column of {name}.{part} by {factor:.4g}"
 
 
-def _unexplained(name: str, seen: Seen) -> Iterator[Finding]:
-    if seen.far:
+def _unexplained(name: str, evidence: Evidence) -> Iterator[Finding]:
+    if evidence.far:
         yield Finding(
             "far", name,
-            f"{name}: readings are {seen.noise_ratio:.2g} times further off than claimed, and "
-            "no scale, sign, clock, place, noise or memory explains it",
+            f"{name}: readings are {evidence.noise_ratio:.2g} times further off than claimed, "
+            "and no scale, sign, clock, place, noise or memory explains it",
             "look at the place, the map and the units; these results are not to be trusted",
         )  # fmt: skip
-    elif (few := seen.uncovered) is not None:
+    elif (few := evidence.uncovered) is not None:
         yield Finding(
             "coverage", name,
             f"{name}: held back for {few.horizon:g} s, only {few.inside:.0%} of its readings "
@@ -130,43 +132,43 @@ def sensor_checks(checked: Checked, names: Names) -> dict[str, SensorCheck]:
     wrong = findings(checked, names)
     return {
         name: SensorCheck(
-            readings=seen.readings,
-            verdict=_verdict(seen, [f for f in wrong if f.subject == name]),
-            stream=None if seen.stream is None else StreamScore(*seen.stream),
+            readings=evidence.readings,
+            verdict=_verdict(evidence, [f for f in wrong if f.subject == name]),
+            stream=None if evidence.stream is None else StreamScore(*evidence.stream),
             targets={
                 names[name][target] if target < len(names.get(name, ())) else str(target): (
                     StreamScore(*entry)
                 )
-                for target, entry in seen.targets.items()
+                for target, entry in evidence.targets.items()
             },
-            noise_ratio=seen.noise_ratio,
+            noise_ratio=evidence.noise_ratio,
             lag_1=None
-            if seen.memory is None
-            else float(seen.memory.whiteness.autocorrelation[0]),
-            white=None if seen.memory is None else not seen.memory.suspicious,
-            memory=seen.memory.time_constant
-            if seen.memory and seen.memory.suspicious
+            if evidence.memory is None
+            else float(evidence.memory.whiteness.autocorrelation[0]),
+            white=None if evidence.memory is None else not evidence.memory.suspicious,
+            memory=evidence.memory.time_constant
+            if evidence.memory and evidence.memory.suspicious
             else None,
             coverage={
                 f"{c.horizon:g}" if np.isfinite(c.horizon) else "for good": CoverageScore(
                     c.inside, c.stretches
                 )
-                for c in seen.coverage
+                for c in evidence.coverage
             },
-            unfit=tuple(seen.unfit),
+            unfit=tuple(evidence.unfit),
         )
-        for name, seen in checked.sensors.items()
+        for name, evidence in checked.sensors.items()
     }
 
 
-def _verdict(seen: Seen, wrong: list[Finding]) -> str:
-    if not seen.readings:
+def _verdict(evidence: Evidence, wrong: list[Finding]) -> str:
+    if not evidence.readings:
         return "has no readings in this log"
     if wrong:
         return "; ".join(finding.text.partition(": ")[2] for finding in wrong)
-    if seen.noise_ratio is None:
+    if evidence.noise_ratio is None:
         return "no reading could be judged"
-    if seen.noise_ratio < 0.6:
+    if evidence.noise_ratio < 0.6:
         return "fits; its noise is declared larger than it looks, which is right if errors last"
     return "fits"
 

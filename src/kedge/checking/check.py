@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtr
+from scipy.special import bdtr, chdtri
 
 from kedge.checking.correlation import Memory, error_trial, is_clear, memory, noise_std
 from kedge.checking.observability import Direction, undetermined
 from kedge.checking.prediction import Coverage, coverage
-from kedge.checking.program import Evaluated, Program
+from kedge.checking.program import Evaluated, Program, squares
 from kedge.checking.search import Trial, hypotheses, tried
 from kedge.checking.setting import Setting, changed, setting_of
 from kedge.checking.streams import Judged, Span, Stream, judged, stream, stuck, unfit, without
@@ -29,7 +29,7 @@ BULK = 0.8
 """Share in the region of 95 % from which on it is not worth a word."""
 
 
-class Seen(NamedTuple):
+class Evidence(NamedTuple):
     """What a log shows of one sensor."""
 
     readings: int
@@ -49,7 +49,7 @@ class Seen(NamedTuple):
 class Checked(NamedTuple):
     """All that a check found."""
 
-    sensors: Mapping[str, Seen]
+    sensors: Mapping[str, Evidence]
     trials: Sequence[Trial]
     """What is wrong, the clearest first."""
     all_trials: Sequence[Trial]
@@ -96,23 +96,24 @@ def check(
         for _, rows in spans:
             setting = without(setting, place, rows)
     base = program.evaluate(setting) if any(still.values()) else base
+    setting = setting._replace(square=squares(base, len(rig.sensors)))
     trials, tried_first, last, final = _rounds(filter, program, setting, base, progress)
-    seen = {}
+    evidence = {}
     for place, installation in enumerate(rig.sensors):
         progress(f"{installation.name}: predictions")
         spans = [span for span, _ in still[place]]
-        seen[installation.name] = _seen(program, setting, base, place, spans)
+        evidence[installation.name] = _evidence(program, setting, base, place, spans)
         if not trials and not any(still.values()):
-            seen[installation.name] = _unexplained(seen[installation.name])
+            evidence[installation.name] = _unexplained(evidence[installation.name])
         fits = judged(last, final, place)
-        seen[installation.name] = seen[installation.name]._replace(unfit=unfit(fits))
+        evidence[installation.name] = evidence[installation.name]._replace(unfit=unfit(fits))
     progress("observability")
     typical = {
         s.name: noise_std(setting, base, place)
         for place, s in enumerate(rig.sensors)
         if (np.asarray(base.log.schedule.sensor) == place).any()
     }
-    return Checked(seen, trials, tried_first, undetermined(setting, base), setting, typical)
+    return Checked(evidence, trials, tried_first, undetermined(setting, base), setting, typical)
 
 
 def _rounds(
@@ -137,9 +138,11 @@ def _rounds(
             if hangs is None or not hangs.suspicious:
                 continue
             progress(f"{setting.rig.sensors[place].name}: an error with a memory")
-            found = error_trial(filter, setting, base, place)
-            if found is not None and is_clear(found[0], None if mended is None else mended[0]):
-                mended = found
+            remembering = error_trial(filter, setting, base, place)
+            if remembering is not None and is_clear(
+                remembering[0], None if mended is None else mended[0]
+            ):
+                mended = remembering
         if mended is None:
             break
         trial, program, setting = mended
@@ -148,9 +151,9 @@ def _rounds(
     return accepted, first, setting, base
 
 
-def _seen(
+def _evidence(
     program: Program, setting: Setting, base: Evaluated, place: int, spans: list[Span]
-) -> Seen:
+) -> Evidence:
     readings: Judged = judged(setting, base, place)
     schedule = base.log.schedule
     time = np.asarray(schedule.time)[np.asarray(schedule.sensor) == place]
@@ -162,20 +165,21 @@ def _seen(
     }
     ratio = None
     if len(readings.nis):
-        ratio = float(np.sqrt(readings.nis.sum() / readings.dof.sum()))
+        # By medians: a rig with a robust loss or a gate says that some readings are outliers.
+        ratio = float(np.sqrt(np.median(readings.nis / chdtri(readings.dof, 0.5))))
     covered = coverage(program, setting, place) if len(readings.nis) else []
     hangs = memory(readings) if len(readings.nis) else None
-    return Seen(len(time), stream(time), by_target, ratio, hangs, covered, spans, [])
+    return Evidence(len(time), stream(time), by_target, ratio, hangs, covered, spans, [])
 
 
-def _unexplained(seen: Seen) -> Seen:
+def _unexplained(evidence: Evidence) -> Evidence:
     """Marked where readings are not what was expected, and no hypothesis says why."""
     few = [
         entry
-        for entry in seen.coverage
+        for entry in evidence.coverage
         if np.isfinite(entry.horizon)
         and entry.inside < BULK
         and bdtr(round(entry.inside * entry.stretches), entry.stretches, 0.95) < RARE
     ]
-    far = seen.noise_ratio is not None and seen.noise_ratio > FAR
-    return seen._replace(far=far, uncovered=few[0] if few else None)
+    far = evidence.noise_ratio is not None and evidence.noise_ratio > FAR
+    return evidence._replace(far=far, uncovered=few[0] if few else None)

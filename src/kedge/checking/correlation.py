@@ -65,17 +65,19 @@ def memory(readings: Judged) -> Memory | None:
     return Memory(test, None if test.white else lag * step)
 
 
-def noise_std(setting: Setting, found: Evaluated, place: int) -> Float[np.ndarray, " m"]:
+def noise_std(setting: Setting, evaluated: Evaluated, place: int) -> Float[np.ndarray, " m"]:
     """The white noise that a rig says a sensor has, in the middle of what its log met."""
     installation, readings = setting.rig.sensors[place], setting.line.readings[place]
-    schedule = found.log.schedule
+    schedule = evaluated.log.schedule
     events = np.flatnonzero(np.asarray(schedule.sensor) == place)
     events = events[np.linspace(0, len(events) - 1, min(len(events), 50)).astype(int)]
     rows = np.asarray(schedule.row)[events]
     if readings.cov is not None:
         return np.sqrt(np.median(np.asarray(readings.cov)[rows], axis=0).diagonal())
     target = np.maximum(np.asarray(readings.target)[rows], 0)
-    states = jax.tree.map(lambda leaf: jnp.asarray(leaf)[events], found.estimates.moments.mean)
+    states = jax.tree.map(
+        lambda leaf: jnp.asarray(leaf)[events], evaluated.estimates.moments.mean
+    )
     cov = jax.jit(jax.vmap(installation.noise_cov))(states, jnp.asarray(target))
     return np.sqrt(np.median(np.asarray(cov), axis=0).diagonal())
 

@@ -27,7 +27,7 @@ class Direction(NamedTuple):
     """Of the log, in that of the prior: 0 is none at all."""
 
 
-def undetermined(setting: Setting, found: Evaluated) -> list[Direction]:
+def undetermined(setting: Setting, evaluated: Evaluated) -> list[Direction]:
     r"""Singular directions of the information that the readings bring about the first state.
 
     $J = \sum_k \Phi_k^\top H_k^\top R_k^{-1} H_k \Phi_k$ along the estimated path, with
@@ -35,28 +35,30 @@ def undetermined(setting: Setting, found: Evaluated) -> list[Direction]:
 
     Source: A. Gelb (ed.), "Applied Optimal Estimation", 1974, section 3.5 (observability).
     """
-    schedule, mean = found.log.schedule, setting.rig.prior.mean
+    schedule, mean = evaluated.log.schedule, setting.rig.prior.mean
     states = space(mean)
     paths = jax.tree.map(
-        lambda first, rest: jnp.concatenate([jnp.asarray(first)[None], jnp.asarray(rest)]),
+        lambda first, later: jnp.concatenate([jnp.asarray(first)[None], jnp.asarray(later)]),
         mean,
-        found.estimates.moments.mean,
+        evaluated.estimates.moments.mean,
     )
     before = jax.tree.map(lambda leaf: leaf[:-1], paths)
     after = jax.tree.map(lambda leaf: leaf[1:], paths)
     time = np.asarray(schedule.time)
     steps = jnp.asarray(np.diff(time, prepend=0.0))
-    F = np.asarray(_transitions(setting.rig.vehicle, before, found.log.controls, steps))
+    F = np.asarray(_transitions(setting.rig.vehicle, before, evaluated.log.controls, steps))
     sensor, row = np.asarray(schedule.sensor), np.asarray(schedule.row)
     information = np.zeros((len(time), states.size, states.size))
     for place, installation in enumerate(setting.rig.sensors):
-        at = np.flatnonzero((sensor == place) & (np.asarray(found.estimates.outcome.dof) > 0))
+        at = np.flatnonzero(
+            (sensor == place) & (np.asarray(evaluated.estimates.outcome.dof) > 0)
+        )
         if len(at):
-            there = jax.tree.map(lambda leaf, at=at: leaf[at], after)
+            states_then = jax.tree.map(lambda leaf, at=at: leaf[at], after)
             readings = jax.tree.map(
-                lambda leaf, at=at: jnp.asarray(leaf)[row[at]], found.log.readings[place]
+                lambda leaf, at=at: jnp.asarray(leaf)[row[at]], evaluated.log.readings[place]
             )
-            information[at] = np.asarray(_information(installation, there, readings))
+            information[at] = np.asarray(_information(installation, states_then, readings))
     total = np.zeros((states.size,) * 2)
     from_start = np.eye(states.size)
     for transition, brought in zip(F, information, strict=True):
@@ -82,11 +84,11 @@ def _transitions(vehicle: Any, states: Any, controls: Any, steps: Any) -> Float[
         tangent = space(state)
         still = jax.tree.map(jnp.zeros_like, vehicle.noise_density())
 
-        def moved(error: Any) -> Any:
+        def stepped(error: Any) -> Any:
             return vehicle.step(tangent.boxplus(state, error), control, still, dt)
 
-        ahead = moved(tangent.zeros())
-        slope = jax.jacfwd(lambda e: tangent.boxminus(moved(e), ahead))(tangent.zeros())
+        ahead = stepped(tangent.zeros())
+        slope = jax.jacfwd(lambda e: tangent.boxminus(stepped(e), ahead))(tangent.zeros())
         return jnp.where(dt > 0, slope, jnp.eye(tangent.size))
 
     return jax.vmap(one)(states, controls, steps)

@@ -80,13 +80,36 @@ def log_scores(estimates: Estimates) -> Float[np.ndarray, " T"]:
     Source: P. Huber, E. Ronchetti, "Robust Statistics", 2nd ed., 2009, section 4.5.
     """
     outcome = estimates.outcome
-    nis, dof = np.asarray(outcome.nis), np.asarray(outcome.dof)
-    bounds = {int(d): chi_square_bound(int(d), SURE) for d in np.unique(dof) if d > 0}
-    bound = np.array([bounds.get(int(d), np.inf) for d in dof])
+    nis, dof, bound = _bounded(estimates)
     with np.errstate(all="ignore"):
         far = np.where(nis > bound, bound * (2 * np.sqrt(nis / bound) - 1), nis)
         width = np.nansum(np.log(np.asarray(outcome.std)), axis=1)
     return np.where(dof > 0, -far / 2 - width, np.nan)
+
+
+def squares(evaluated: Evaluated, sensors: int) -> Float[np.ndarray, " s"]:
+    """By sensor, NIS by degree of freedom; outliers as :func:`log_scores` counts them.
+
+    It is by how much the score falls, per degree of freedom, as residuals and the logarithm of
+    their size grow; 1 of a sensor that was never judged.
+    """
+    nis, dof, bound = _bounded(evaluated.estimates)
+    sensor = np.asarray(evaluated.log.schedule.sensor)
+    with np.errstate(all="ignore"):
+        counted = np.where(nis > bound, np.sqrt(nis * bound), nis)
+    share = np.ones(sensors)
+    for place in range(sensors):
+        judged = (sensor == place) & (dof > 0) & np.isfinite(counted)
+        if judged.any():
+            share[place] = counted[judged].sum() / dof[judged].sum()
+    return share
+
+
+def _bounded(estimates: Estimates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """NIS, degrees of freedom, and the bound beyond which a residual is an outlier."""
+    nis, dof = np.asarray(estimates.outcome.nis), np.asarray(estimates.outcome.dof)
+    bounds = {int(d): chi_square_bound(int(d), SURE) for d in np.unique(dof) if d > 0}
+    return nis, dof, np.array([bounds.get(int(d), np.inf) for d in dof])
 
 
 def gain(new: Evaluated, old: Evaluated) -> Gain:

@@ -40,7 +40,7 @@ class Trial(NamedTuple):
         return clear and abs(self.change.value) >= least
 
 
-def hypotheses(setting: Setting, found: Evaluated) -> Iterator[Change]:
+def hypotheses(setting: Setting, evaluated: Evaluated) -> Iterator[Change]:
     """All that may be wrong with a setting."""
     controls = setting.line.controls
     for label, _ in _components(controls):
@@ -63,7 +63,7 @@ def hypotheses(setting: Setting, found: Evaluated) -> Iterator[Change]:
         if noise_of(setting, name) or readings.cov is not None:
             yield Change("noise", name)
         if (installation.targets or 0) > 1:
-            for one, other in itertools.combinations(_worst(setting, found, place), 2):
+            for one, other in itertools.combinations(_worst(setting, evaluated, place), 2):
                 yield Change("exchange", name, f"{one},{other}")
 
 
@@ -78,15 +78,17 @@ def _components(values: object) -> Iterator[tuple[str, bool]]:
         at += chart.size
 
 
-def _worst(setting: Setting, found: Evaluated, place: int) -> list[int]:
+def _worst(setting: Setting, evaluated: Evaluated, place: int) -> list[int]:
     """The targets of a sensor that are foreseen worst."""
-    schedule, outcome = found.log.schedule, found.estimates.outcome
+    schedule, outcome = evaluated.log.schedule, evaluated.estimates.outcome
     events = np.flatnonzero(np.asarray(schedule.sensor) == place)
     target = np.asarray(setting.line.readings[place].target)[np.asarray(schedule.row)[events]]
     verdict = np.asarray(outcome.verdict)[events]
     judged = (verdict == Verdict.FUSED) | (verdict == Verdict.GATED)
     nis = np.asarray(outcome.nis)[events]
-    worst = {t: float(np.mean(nis[judged & (target == t)])) for t in np.unique(target[judged])}
+    worst = {
+        int(t): float(np.mean(nis[judged & (target == t)])) for t in np.unique(target[judged])
+    }
     return sorted(sorted(worst, key=lambda t: -worst[t])[:SUSPECTS])
 
 

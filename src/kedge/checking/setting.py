@@ -49,6 +49,8 @@ class Setting(NamedTuple):
     """By sensor, what its log-likelihoods gain since its readings are in other units."""
     noise: tuple[Tunable, ...]
     """The numbers of the rig that are noise."""
+    square: Float[np.ndarray, " s"]
+    """By sensor, NIS by degree of freedom, as the rig stands."""
     louder: Float[np.ndarray, " s+1"]
     """By sensor, and last of the vehicle, the logarithm of what its noise is multiplied by."""
 
@@ -66,7 +68,13 @@ def setting_of(rig: Rig, recording: Recording, noise: tuple[Tunable, ...]) -> Se
     count = len(rig.sensors)
     line = timeline(recording, np.inf, np.full(count, MOST_LATE))
     return Setting(
-        with_arms(rig), line, np.zeros(count), np.zeros(count), noise, np.zeros(count + 1)
+        with_arms(rig),
+        line,
+        np.zeros(count),
+        np.zeros(count),
+        noise,
+        np.ones(count),
+        np.zeros(count + 1),
     )
 
 
@@ -152,7 +160,10 @@ def _scaled(setting: Setting, name: str, part: str, factor: float) -> Setting:
     readings = setting.line.readings[place]
     measurement = scaled(readings.measurement, part, factor)
     density = setting.density.copy()
-    density[place] += math.log(abs(factor))
+    # A reading in other units has another density, and its noise another size. That is paid
+    # for in NIS; where noise is declared too large it would be too cheap: to first order it
+    # is the logarithm of the factor times NIS by degree of freedom.
+    density[place] += setting.square[place] * math.log(abs(factor))
     return _with_readings(
         setting._replace(density=density), place, readings._replace(measurement=measurement)
     )

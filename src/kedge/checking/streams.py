@@ -1,5 +1,6 @@
 """How each sensor's readings come: rate, gaps, jitter; where they stand still or do not fit."""
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -17,7 +18,8 @@ FEWEST = 8
 SHORTEST = 1.0  # s that it lasts at least
 UNFIT = 3.0
 """Times what NIS is elsewhere, from which on a model does not hold."""
-WINDOW = 10  # readings
+WINDOW = 10, 2.0
+"""Readings, and s, that are judged together at the least."""
 Span = tuple[float, float]
 
 
@@ -58,9 +60,9 @@ class Judged(NamedTuple):
     white: Float[np.ndarray, "n m"]
 
 
-def judged(setting: Setting, found: Evaluated, place: int) -> Judged:
+def judged(setting: Setting, evaluated: Evaluated, place: int) -> Judged:
     """Those of the sensor at ``place`` that were judged."""
-    schedule, outcome = found.log.schedule, found.estimates.outcome
+    schedule, outcome = evaluated.log.schedule, evaluated.estimates.outcome
     dof = np.asarray(outcome.dof)
     events = np.flatnonzero((np.asarray(schedule.sensor) == place) & (dof > 0))
     row = np.asarray(schedule.row)[events]
@@ -69,20 +71,20 @@ def judged(setting: Setting, found: Evaluated, place: int) -> Judged:
     return Judged(time, row, target, nis, dof[events], np.asarray(outcome.white)[events])
 
 
-def stuck(setting: Setting, found: Evaluated, place: int) -> list[tuple[Span, np.ndarray]]:
+def stuck(setting: Setting, evaluated: Evaluated, place: int) -> list[tuple[Span, np.ndarray]]:
     """From when to when a sensor read the same value though it should not, and the rows.
 
     At a stop a reading may stay as it is: it must also be foreseen badly.
     """
-    readings = judged(setting, found, place)
+    readings = judged(setting, evaluated, place)
     leaves = jax.tree.leaves(setting.line.readings[place].measurement)
     values = np.hstack([np.reshape(leaf, (len(leaf), -1)) for leaf in leaves])
     spans = []
     for target in np.unique(readings.target):
-        mine = np.flatnonzero(readings.target == target)
-        same = (np.diff(values[readings.row[mine]], axis=0) == 0).all(axis=1)
+        of_target = np.flatnonzero(readings.target == target)
+        same = (np.diff(values[readings.row[of_target]], axis=0) == 0).all(axis=1)
         for begin, end in _runs(same):
-            run = mine[begin : end + 1]
+            run = of_target[begin : end + 1]
             first, last = float(readings.time[run[0]]), float(readings.time[run[-1]])
             bad = readings.nis[run].mean() > 2 * readings.dof[run].mean()
             if len(run) >= FEWEST and last - first >= SHORTEST and bad:
@@ -101,10 +103,14 @@ def without(setting: Setting, place: int, rows: Int[np.ndarray, " k"]) -> Settin
 
 def unfit(readings: Judged) -> list[Span]:
     """From when to when readings are foreseen far worse than in most of the log."""
-    count = len(readings.time) // WINDOW
+    least, seconds = WINDOW
+    total = len(readings.time)
+    lasted = float(readings.time[-1] - readings.time[0]) if total > 1 else 0.0
+    size = max(least, math.ceil(seconds * total / lasted) if lasted > 0 else least)
+    count = total // size
     if count < 5:
         return []
-    rows = np.arange(count * WINDOW).reshape(count, WINDOW)
+    rows = np.arange(count * size).reshape(count, size)
     share = readings.nis[rows].sum(axis=1) / readings.dof[rows].sum(axis=1)
     dof = int(readings.dof[rows].sum(axis=1).max())
     usual = max(float(np.median(share)), 1.0)

@@ -42,7 +42,8 @@ class SensorCheck:
     stream: StreamScore | None = None
     targets: Mapping[str, StreamScore] = field(default_factory=dict)
     noise_ratio: float | None = None
-    """How far off readings are, in what was expected: the root of NIS by what it should be."""
+    """How far off readings are, in what was expected: the root of the median of NIS by that of
+    chi-square."""
     lag_1: float | None = None
     """Autocorrelation of neighbouring residuals."""
     white: bool | None = None

@@ -1,5 +1,6 @@
 """The page of a check: what was found, sensor by sensor, and what the log could tell."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +16,9 @@ HEAD = (
 )  # fmt: skip
 
 
+MOST_SPANS = 3
+
+
 class CheckContent(NamedTuple):
     """What the page is made of."""
 
@@ -27,7 +31,10 @@ def headline(summary: CheckSummary) -> str:
     """The result in one sentence."""
     if not summary.findings:
         return "Nothing in this log contradicts the rig."
-    return f"{len(summary.findings)} things in the rig contradict this log."
+    count = len(summary.findings)
+    if count == 1:
+        return "One thing in the rig contradicts this log."
+    return f"{count} things in the rig contradict this log."
 
 
 def rows(summary: CheckSummary) -> list[list[str]]:
@@ -55,6 +62,14 @@ def _cells(entry: SensorCheck) -> list[str]:
     ]
 
 
+def spans(times: Sequence[tuple[float, float]]) -> str:
+    """Stretches of time as text, the longest ones if they are many."""
+    longest = sorted(times, key=lambda span: span[0] - span[1])[:MOST_SPANS]
+    text = ", ".join(f"from {a:.1f} s to {b:.1f} s" for a, b in sorted(longest))
+    others = len(times) - len(longest)
+    return f"{text}, and in {others} shorter stretches" if others else text
+
+
 def write_check(folder: Path, content: CheckContent) -> Path:
     """Write ``report.html`` with its figures.
 
@@ -80,11 +95,7 @@ def write_check(folder: Path, content: CheckContent) -> Path:
     return write_page(
         folder, "check.html.j2", front, [plate], head=HEAD, rows=rows(summary),
         quantities=quantities, undetermined=summary.undetermined, facts=content.facts,
-        unfit=[
-            f"{name}: {begin:.1f} to {end:.1f} s"
-            for name, entry in summary.filters.items()
-            for begin, end in entry.unfit
-        ],
+        unfit=[f"{name}: {spans(e.unfit)}" for name, e in summary.filters.items() if e.unfit],
         notes=summary.about.notes, configuration=content.configuration,
     )  # fmt: skip
 

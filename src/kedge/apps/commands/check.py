@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from kedge.apps.options import Json, Report, Require, Set, Until
+from kedge.apps.options import Json, Report, Require, Seed, Set, Until
+from kedge.core.errors import ConfigError
 
 app = typer.Typer()
 
@@ -27,12 +28,15 @@ def check(
     self_test: Annotated[
         int, typer.Option(help="Check so many simulated logs with each known fault planted.")
     ] = 0,
+    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Is a rig honest on a log, without truth? What is wrong, and what to write instead."""
+    if not self_test and (rig is None or log is None):
+        raise ConfigError("check: found no RIG and LOG, expected both, or --self-test N")
     from kedge.apps.check import check_log, self_test_table
 
-    if self_test:
-        self_test_table(self_test, as_json)
+    if rig is None or log is None:
+        self_test_table(self_test, seed, as_json)
     else:
         check_log(rig, log, out, filter, until, set_, require_ or [], report, as_json)
