@@ -6,6 +6,7 @@ from kedge import simulation as simulation
 from kedge import testing as testing
 from kedge import vehicles as vehicles
 from kedge.apps.library import StudyResults as StudyResults
+from kedge.apps.library import check as check
 from kedge.apps.library import study as study
 from kedge.apps.library import tune as tune
 from kedge.apps.workflow import run_filters as run_filters

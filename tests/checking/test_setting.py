@@ -22,7 +22,7 @@ def test_a_scale_is_taken_out_of_the_readings_and_paid_for(setting):
     before, after = (s.line.readings[1].measurement.range for s in (setting, mended))
     np.testing.assert_allclose(after, np.asarray(before) / 1.25)
     np.testing.assert_allclose(mended.density, [0, np.log(1 / 1.25)])
-    careful = setting._replace(square=np.array([1.0, 0.25]))
+    careful = setting._replace(square=np.array([[1.0, 1.0], [0.25, 1.0]]))
     mended = changed(careful, Change("scale", "radio", "range", 0.25))
     np.testing.assert_allclose(mended.density, [0, 0.25 * np.log(1 / 1.25)])
 

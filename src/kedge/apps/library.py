@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kedge.apps.study_output import content_of, summary_of, write_study
+from kedge.checking.advice import findings
+from kedge.checking.check import check as run_check
+from kedge.checking.summary import Finding
 from kedge.config.loading import Settings, Source, as_overrides
 from kedge.config.scenarios import Setting, load_scenario
 from kedge.core.contracts import AbstractFilter
@@ -174,3 +177,20 @@ def tune(
     ]
     chosen = choose(rigs[0], parameters)
     return tuned_by(filter or ExtendedKalman(), cases, chosen, search, horizons, progress)
+
+
+def check(
+    rig: Rig, log: Recording, filter: AbstractFilter | None = None, progress: Progress = _quiet
+) -> list[Finding]:
+    """What in a rig a log contradicts, without truth; none if nothing does.
+
+    Args:
+        rig: whose scales, signs, clocks, lever arms, targets, noise and errors are questioned.
+        log: what it is to be honest on.
+        filter: the extended filter, unless given.
+        progress: is told what is being done.
+
+    Raises:
+        DataError: no reading could be judged.
+    """
+    return findings(run_check(filter or ExtendedKalman(), rig, log, progress), {})

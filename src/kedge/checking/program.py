@@ -87,21 +87,21 @@ def log_scores(estimates: Estimates) -> Float[np.ndarray, " T"]:
     return np.where(dof > 0, -far / 2 - width, np.nan)
 
 
-def squares(evaluated: Evaluated, sensors: int) -> Float[np.ndarray, " s"]:
-    """By sensor, NIS by degree of freedom; outliers as :func:`log_scores` counts them.
+def squares(evaluated: Evaluated, sensors: int) -> Float[np.ndarray, "s m"]:
+    """By sensor and component, the mean square of whitened residuals; outliers count less.
 
-    It is by how much the score falls, per degree of freedom, as residuals and the logarithm of
-    their size grow; 1 of a sensor that was never judged.
+    It is by how much the score falls as residuals grow with the logarithm of their size; 1 of
+    what was never judged.
     """
-    nis, dof, bound = _bounded(evaluated.estimates)
+    white, bound = np.asarray(evaluated.estimates.outcome.white), chi_square_bound(1, SURE)
     sensor = np.asarray(evaluated.log.schedule.sensor)
-    with np.errstate(all="ignore"):
-        counted = np.where(nis > bound, np.sqrt(nis * bound), nis)
-    share = np.ones(sensors)
+    _, dof, _ = _bounded(evaluated.estimates)
+    share = np.ones((sensors, white.shape[1]))
     for place in range(sensors):
-        judged = (sensor == place) & (dof > 0) & np.isfinite(counted)
-        if judged.any():
-            share[place] = counted[judged].sum() / dof[judged].sum()
+        square = white[(sensor == place) & (dof > 0)] ** 2
+        square = square[np.isfinite(square).all(axis=1)]
+        if len(square):
+            share[place] = np.minimum(square, np.sqrt(square * bound)).mean(axis=0)
     return share
 
 

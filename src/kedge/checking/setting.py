@@ -49,8 +49,8 @@ class Setting(NamedTuple):
     """By sensor, what its log-likelihoods gain since its readings are in other units."""
     noise: tuple[Tunable, ...]
     """The numbers of the rig that are noise."""
-    square: Float[np.ndarray, " s"]
-    """By sensor, NIS by degree of freedom, as the rig stands."""
+    square: Float[np.ndarray, "s m"]
+    """By sensor and component, the mean square of whitened residuals as the rig stands."""
     louder: Float[np.ndarray, " s+1"]
     """By sensor, and last of the vehicle, the logarithm of what its noise is multiplied by."""
 
@@ -66,6 +66,7 @@ class Setting(NamedTuple):
 def setting_of(rig: Rig, recording: Recording, noise: tuple[Tunable, ...]) -> Setting:
     """A rig and its log as they are; readings that a change may move before it are left out."""
     count = len(rig.sensors)
+    widest = max((space_of(one.sensor.measures).size for one in rig.sensors), default=0)
     line = timeline(recording, np.inf, np.full(count, MOST_LATE))
     return Setting(
         with_arms(rig),
@@ -73,7 +74,7 @@ def setting_of(rig: Rig, recording: Recording, noise: tuple[Tunable, ...]) -> Se
         np.zeros(count),
         np.zeros(count),
         noise,
-        np.ones(count),
+        np.ones((count, widest)),
         np.zeros(count + 1),
     )
 
@@ -162,8 +163,9 @@ def _scaled(setting: Setting, name: str, part: str, factor: float) -> Setting:
     density = setting.density.copy()
     # A reading in other units has another density, and its noise another size. That is paid
     # for in NIS; where noise is declared too large it would be too cheap: to first order it
-    # is the logarithm of the factor times NIS by degree of freedom.
-    density[place] += setting.square[place] * math.log(abs(factor))
+    # is the logarithm of the factor times the mean square of whitened residuals.
+    component = space_of(type(readings.measurement)).labels.index(part)
+    density[place] += setting.square[place, component] * math.log(abs(factor))
     return _with_readings(
         setting._replace(density=density), place, readings._replace(measurement=measurement)
     )
