@@ -316,6 +316,13 @@ def finish(
     Raises:
         ThresholdMissed: a condition does not hold.
     """
+    warnings = summary.about.warnings
+    from kedge.reports.findings import UNTRUSTED
+
+    # What makes the figures worthless stands before them.
+    doubts = [text for text in warnings if UNTRUSTED in text]
+    for text in doubts:
+        print(f"kedge: warning: {text}", file=sys.stderr)
     if as_json:
         print_json(summary)
     else:
@@ -323,7 +330,7 @@ def finish(
         if out is not None:
             shown = "report.html" if (out / "report.html").exists() else "summary.json"
             print(f"\nresults: {out / shown}", flush=True)
-    warnings = summary.about.warnings
     for text in warnings:
-        print(f"kedge: warning: {text}", file=sys.stderr)
+        if text not in doubts:
+            print(f"kedge: warning: {text}", file=sys.stderr)
     require(summary.filters, conditions, warnings)

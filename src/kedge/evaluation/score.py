@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from kedge.core.beliefs import Gaussian
 from kedge.core.errors import DataError
 from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
@@ -22,6 +23,7 @@ from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.by_target import target_scores
 from kedge.evaluation.consistency import coverage, mean_interval, nees, singular, whiteness
 from kedge.evaluation.health import health
+from kedge.evaluation.plausibility import FAR, astray, off_by
 from kedge.evaluation.refusals import refusals
 from kedge.evaluation.scores import (
     ClippedControl,
@@ -165,8 +167,10 @@ def score(
     """
     track = track_of(estimates, recording)
     beyond = clipped(recording, rig.vehicle)
+    sensors = _sensor_scores(estimates, recording, rig, targets or {})
+    last = Gaussian(jax.tree.map(lambda leaf: leaf[-1], track.mean), track.cov[-1])
     scores = FilterScores(
-        sensors=_sensor_scores(estimates, recording, rig, targets or {}),
+        sensors=sensors,
         health=replace(
             health(estimates),
             refusals=refusals(estimates, recording, rig),
@@ -175,6 +179,8 @@ def score(
         ),
         std=_deviations(track),
         singular=singular(track.cov),
+        fits=all((entry.off_by or 0.0) <= FAR for entry in sensors.values()),
+        astray=astray(rig, last, float(track.time[-1])),
     )
     if truth is None:
         return Run(name, estimates, track, None, scores)
@@ -358,6 +364,7 @@ def _sensor_scores(
             len(mine),
             dict(sorted(verdicts.items())),
             fused=len(fused) / len(mine) if len(mine) else None,
+            off_by=off_by(outcome.nis[mine], outcome.dof[mine]),
             whiteness=_whiteness(outcome.white[fused][:, :size]),
         )
         if len(fused):

@@ -67,6 +67,9 @@ class SensorScores:
     """Mean normalised innovation squared of the fused readings."""
     nis_dof: float | None = None
     """What it is on average if the model is right."""
+    off_by: float | None = None
+    """How far off its readings are, in what the rig expects: by medians, of all that were
+    judged."""
     log_likelihood: float | None = None
     """Sum over the fused readings."""
     whiteness: WhitenessScore | None = None
@@ -151,6 +154,10 @@ class FilterScores:
     """By field, the median over time of the 1-sigma that the filter believes in."""
     singular: float
     """Share of the steps at which the covariance is singular, so that there is no NEES."""
+    fits: bool = True
+    """Whether the readings of every sensor lie about where the rig expects them."""
+    astray: Mapping[str, float] = field(default_factory=dict)
+    """Augmented states that end over 3 sigma from where the rig believes them, in sigma."""
     rmse: Mapping[str, Score] = field(default_factory=dict)
     """By field and component, in SI units."""
     nees: float | None = None

@@ -12,6 +12,7 @@ from kedge.estimation.log import Recording
 from kedge.estimation.rig import Installation, Rig
 from kedge.evaluation.by_target import targets_off
 from kedge.evaluation.health import concerns
+from kedge.evaluation.plausibility import FAR
 from kedge.evaluation.score import Run
 from kedge.reports import style
 from kedge.reports.drawing import without_fused
@@ -20,6 +21,7 @@ from kedge.reports.maps import rivals
 
 # Shares of errors inside the 95 % bound, beyond which a run does not know how good it is.
 HONEST, CAUTIOUS = 0.85, 0.99
+UNTRUSTED = "these results are not to be trusted"
 USED = 0.9
 """Share of a sensor's readings; where fewer are fused, it is said why."""
 BROKEN = Verdict.UNKNOWN_TARGET, Verdict.NOT_FINITE, Verdict.BAD_COVARIANCE
@@ -83,7 +85,8 @@ def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
 
 def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     """What a reader should know before trusting the numbers."""
-    lines = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
+    lines = [text for run in rivals(runs) for text in _misfits(run)]
+    lines += [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
     judged = [run for run in rivals(runs) if run.errors is not None]
     for word, wrong in (
         ("Over-confident", lambda share: share < HONEST),
@@ -115,6 +118,23 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
         for run in online
         for installation in rig.sensors
         for text in _used(run, installation)
+    ]
+
+
+def _misfits(run: Run) -> list[str]:
+    """Sensors whose readings are not where the rig expects them, and quantities gone astray."""
+    if style.is_smoother(run.name):
+        return []
+    lines = [
+        f"{run.name}: {sensor}: readings are {style.number(entry.off_by, 2)} times further off "
+        f"than claimed; {UNTRUSTED}. kedge check looks for what is wrong."
+        for sensor, entry in run.scores.sensors.items()
+        if entry.off_by is not None and entry.off_by > FAR
+    ]
+    return lines + [
+        f"{run.name}: {name} ends {style.number(abs(off), 2)} standard deviations from where "
+        "the rig believes it: it may stand for an error of something else."
+        for name, off in run.scores.astray.items()
     ]
 
 
