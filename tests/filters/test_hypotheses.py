@@ -22,7 +22,7 @@ NONE = jnp.zeros(2, jnp.uint32)
 
 
 def test_the_starts_stand_around_the_circle():
-    prior = Gaussian(State(jnp.ones(2), jnp.array(0.5)), jnp.diag(jnp.array([4.0, 9.0, 0.01])))
+    prior = Gaussian(State(jnp.ones(2), jnp.array(0.5)), jnp.diag(jnp.array([4.0, 9.0, 100.0])))
     belief = Hypotheses(count=4).init(prior, NONE)
     found = np.sort(np.asarray(belief.components.mean.heading))
     np.testing.assert_allclose(
@@ -36,6 +36,21 @@ def test_the_starts_stand_around_the_circle():
     np.testing.assert_allclose(jnp.diag(moments.cov)[:2], [4.0, 9.0])
 
 
+def test_a_heading_that_the_prior_knows_is_kept():
+    """At .05 rad all of the prior's moments are; and a wide one has the circle's density."""
+    cov = jnp.array([[4.0, 0.0, 0.01], [0.0, 9.0, 0.02], [0.01, 0.02, 0.0025]])
+    prior = Gaussian(State(jnp.ones(2), jnp.array(0.5)), cov)
+    moments = Hypotheses(count=8).init(prior, NONE).moments()
+    np.testing.assert_allclose(moments.mean.heading, 0.5)
+    np.testing.assert_allclose(moments.cov, cov, atol=1e-9)
+    for variance in (0.8, 3.9, 4.1):
+        wide = prior._replace(cov=jnp.diag(jnp.array([4.0, 9.0, variance])))
+        weights = np.exp(Hypotheses(count=8).init(wide, NONE).log_weights)
+        # The mean resultant length of a wrapped normal is exp(-variance / 2).
+        resultant = (weights * np.exp(2j * np.pi * np.arange(8) / 8)).sum()
+        np.testing.assert_allclose(resultant, np.exp(-variance / 2), rtol=1e-3)
+
+
 def test_an_attitude_is_turned_about_the_vertical():
     start = Strapdown().start()
     belief = Hypotheses(count=4).init(Gaussian(start, 0.01 * jnp.eye(9)), NONE)
@@ -45,11 +60,16 @@ def test_an_attitude_is_turned_about_the_vertical():
     )
 
 
-def test_fixes_on_the_way_tell_the_heading():
-    """It drives north, having been told east; one fix on the way is an outlier."""
+@pytest.mark.parametrize(("std", "fixes"), [(1.0, 5), (0.05, 20)])
+def test_fixes_on_the_way_tell_the_heading(std, fixes):
+    """It drives north, having been told east; one fix on the way is an outlier.
+
+    From a prior that is sure of the wrong heading it takes longer.
+    """
     filter = Robust(Hypotheses(ExtendedKalman()))
     vehicle, sensor = Unicycle(speed_noise=0.05), Gnss(std=0.3)
-    prior = Gaussian(State(jnp.zeros(2), jnp.array(0.0)), 0.01 * jnp.eye(3))
+    cov = jnp.diag(jnp.array([0.01, 0.01, std**2]))
+    prior = Gaussian(State(jnp.zeros(2), jnp.array(0.0)), cov)
 
     @quick_jit
     def step(belief, fix):
@@ -57,7 +77,7 @@ def test_fixes_on_the_way_tell_the_heading():
         return filter.update(sensor, moved, Measurement(fix), NONE)[0]
 
     belief = filter.init(prior, NONE)
-    for second in range(1, 6):
+    for second in range(1, fixes + 1):
         place = [0.0, 2.0 * second] if second != 3 else [30.0, -30.0]
         belief = step(belief, jnp.array(place))
     heading = belief.components.mean.heading[jnp.argmax(belief.log_weights)]

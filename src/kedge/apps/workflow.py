@@ -25,6 +25,7 @@ from kedge.estimation.smoother import compile_smoother
 from kedge.estimation.transition import is_smoothable
 from kedge.evaluation.score import Run, in_the_map, score
 from kedge.evaluation.scores import LogSummary, Provenance
+from kedge.filters.wrappers.hypotheses import Hypotheses
 from kedge.formats.logs import RawLog
 from kedge.formats.results import as_toml, digest
 from kedge.formats.results_folder import results_folder
@@ -111,6 +112,9 @@ def run_filters(
     for name, chosen in filters.items():
         base = _filter_of(name)
         keep = f"{base}{SMOOTHER}" in filters
+        if isinstance(chosen, Hypotheses):
+            # What is smoothed is one of them, not the pass of the mixture.
+            base, keep = name, name.endswith(SMOOTHER)
         if name.endswith(MAP):
             progress(f"{name}: compiling")
             likely = most_probable(
@@ -158,7 +162,12 @@ def _filter_of(name: str) -> str:
 def with_smoothers(names: Sequence[str]) -> list[str]:
     """The filters, and behind them the smoothed passes of those that can be smoothed."""
     plain = [name for name in names if not name.endswith((SMOOTHER, MAP))]
-    smoothed = [f"{name}{SMOOTHER}" for name in plain if is_smoothable(build_filter(name))]
+    filters = {name: build_filter(name) for name in plain}
+    smoothed = [
+        f"{name}{SMOOTHER}"
+        for name, filter in filters.items()
+        if is_smoothable(filter) or isinstance(filter, Hypotheses)
+    ]
     return list(dict.fromkeys([*names, *smoothed]))
 
 

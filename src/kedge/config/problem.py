@@ -151,8 +151,8 @@ def fitted(
         poses = _pose_table(config, raw, reference)
         _check_overlap(poses, start, int(every.max()))
         if poses.stamps[0] > start:
-            start = int(poses.stamps[0])
-            notes.append(f"{poses.name} begins late; the estimate starts at {start} ns with it")
+            late, start = (int(poses.stamps[0]) - start) / SECOND, int(poses.stamps[0])
+            notes.append(f"{poses.name} begins {late:.3g} s late; the estimate starts with it")
     end = int(every.max())
     if until is not None:
         if not 0 < until < np.inf:

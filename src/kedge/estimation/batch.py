@@ -6,6 +6,7 @@ from typing import Any, TypeVar, overload
 from jaxtyping import PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
+from kedge.estimation.best_start import best_start
 from kedge.estimation.compiled import Engine
 from kedge.estimation.log import Log, Recording, events_of
 from kedge.estimation.rig import Rig, as_arrays
@@ -13,6 +14,7 @@ from kedge.estimation.runner import Runner
 from kedge.estimation.traced import Estimates as Estimates
 from kedge.estimation.traced import pass_over as pass_over
 from kedge.estimation.transition import require_smoothable
+from kedge.filters.wrappers.hypotheses import Hypotheses
 
 T = TypeVar("T")
 
@@ -92,12 +94,15 @@ def compile_estimate(
 ) -> Callable[[], tuple[Estimates, Any]]:
     """Compile without running, so that the time of a run can be told from that of compiling.
 
-    The call returned gives the estimates and, with ``keep``, the history.
+    The call returned gives the estimates and, with ``keep``, the history. With it a bank of
+    hypotheses gives the pass of its inner filter from the start that foresaw the log best.
 
     Raises:
         ContractError: ``keep`` with a filter that cannot be smoothed, or the engine asked for
             cannot run this.
     """
+    if keep and isinstance(filter, Hypotheses):
+        filter, rig = best_start(filter, rig, log, key, engine)
     if keep:
         require_smoothable(filter)
     given = as_arrays((filter, rig, log))

@@ -26,6 +26,9 @@ from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.numerics.innovation import mixture_innovation
 
 TAILS = 4.0  # degrees of freedom of the Student-t that weighs: one outlier decides nothing
+ANYWHERE = 10.0
+"""rad; a heading with this standard deviation is uniform on the circle."""
+WIDE = 4.0  # rad^2
 HELD = -30.0  # log weight below which no hypothesis falls, so that a change of mind is possible
 
 
@@ -39,9 +42,12 @@ class Hypotheses(AbstractFilter[Mixture]):
     covariance is wide for as long as the readings cannot tell.
 
     What turns is the state's ``heading`` or, without one, its ``attitude`` about the map's
-    vertical axis, for a vehicle that starts about level. The prior's variance of it is not
-    looked at. With neither there is one start, and all hypotheses are the same. A gate that
-    gives up its belief (``recovery``) starts the bank anew, where it believed to be, widened.
+    vertical axis, for a vehicle that starts about level. At first $w_k$ is the prior's density
+    of the k-th heading: where the prior knows it, its own hypothesis has all the weight, and
+    the others hardly any until readings speak for them; where it does not, all are about as
+    likely. Without a heading there is one start, and all hypotheses are the same. A gate that
+    gives up its belief (``recovery``) starts the bank anew, where it believed to be, widened
+    and facing anywhere.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 11.6.2 (static multiple models); M. Roth, E. Özkan,
@@ -62,26 +68,28 @@ class Hypotheses(AbstractFilter[Mixture]):
             raise ContractError(f"hypotheses: count is {self.count}, must be at least 2")
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Mixture:
-        """Turned copies of the prior, all equally likely."""
+        """Turned copies of the prior, each as likely as the prior has it."""
         del key
-        weights = jnp.full(self.count, -jnp.log(self.count))
         field = _turning(prior.mean)
         if field is None:
             copies = jax.tree.map(
                 lambda leaf: jnp.stack([jnp.asarray(leaf)] * self.count), prior
             )
-            return Mixture(copies, weights)
+            return Mixture(copies, jnp.full(self.count, -jnp.log(self.count)))
         place = space(prior.mean).slices()[field].stop - 1
-        gap = 2 * jnp.pi / self.count
+        variance, gap = prior.cov[place, place], 2 * jnp.pi / self.count
         # Neighbours meet at one and a half standard deviations.
-        cov = prior.cov.at[place, :].set(0.0).at[:, place].set(0.0)
-        cov = cov.at[place, place].set((gap / 3) ** 2)
+        widest = (gap / 3) ** 2
+        alone = prior.cov.at[place, :].set(0.0).at[:, place].set(0.0)
+        alone = alone.at[place, place].set(widest)
+        cov = jnp.where(variance > widest, alone, prior.cov)
 
         def turned(angle: Float[Array, ""]) -> Gaussian:
             return Gaussian(_turn(prior.mean, field, angle), cov)
 
-        components = jax.vmap(turned)(gap * jnp.arange(self.count))
-        return Mixture(components, weights)
+        angles = gap * jnp.arange(self.count)
+        weights = jnp.maximum(_normalised(_around_the_circle(angles, variance)), HELD)
+        return Mixture(jax.vmap(turned)(angles), _normalised(weights))
 
     def considers(self) -> bool:
         """The inner filter's."""
@@ -92,7 +100,13 @@ class Hypotheses(AbstractFilter[Mixture]):
 
         The hypotheses have become one on the way, and who is lost may face anywhere.
         """
-        return self.init(belief.moments().inflated(factor), jr.key(0))
+        wide = belief.moments().inflated(factor)
+        field = _turning(wide.mean)
+        if field is not None:
+            place = space(wide.mean).slices()[field].stop - 1
+            cov = wide.cov.at[place, :].set(0.0).at[:, place].set(0.0)
+            wide = wide._replace(cov=cov.at[place, place].set(ANYWHERE**2))
+        return self.init(wide, jr.key(0))
 
     def predict(
         self,
@@ -129,12 +143,34 @@ class Hypotheses(AbstractFilter[Mixture]):
 
         posteriors, scores, likelihoods = jax.vmap(one)(belief.components)
         joint = belief.log_weights + likelihoods
-        weights = jnp.maximum(joint - logsumexp(joint), HELD)
+        weights = _normalised(jnp.maximum(_normalised(joint), HELD))
 
         score = mixture_innovation(belief.log_weights, scores, model.dof())
         evidence = logsumexp(belief.log_weights + scores.log_likelihood)
-        mixture = Mixture(posteriors, weights - logsumexp(weights))
+        mixture = Mixture(posteriors, weights)
         return mixture, score._replace(log_likelihood=evidence)
+
+
+def _normalised(log_weights: Float[Array, " K"]) -> Float[Array, " K"]:
+    return log_weights - logsumexp(log_weights)
+
+
+def _around_the_circle(
+    angles: Float[Array, " K"], variance: Float[Array, ""]
+) -> Float[Array, " K"]:
+    """Logarithm of the normal density wrapped around the circle, but for a constant.
+
+    As a sum over laps where it is narrow, as a Fourier series where it is wide.
+
+    Source: K. Mardia, P. Jupp, "Directional Statistics", 2000, section 3.5.7.
+    """
+    variance = jnp.maximum(variance, 1e-6)  # of no variance at all the first has the weight
+    laps = angles[:, None] + 2 * jnp.pi * jnp.arange(-2, 2)[None, :]
+    narrow = logsumexp(-(laps**2) / (2 * variance), axis=1)
+    order = jnp.arange(1, 4)
+    waves = jnp.cos(jnp.outer(angles, order)) @ jnp.exp(-(order**2) * variance / 2)
+    wide = jnp.log1p(2 * waves)
+    return jnp.where(variance > WIDE, wide, narrow)
 
 
 def _turning(state: Any) -> str | None:
