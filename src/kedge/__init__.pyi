@@ -41,6 +41,8 @@ from kedge.estimation.error_states import with_errors as with_errors
 from kedge.estimation.linear_model import LinearModel as LinearModel
 from kedge.estimation.linear_model import diffuse as diffuse
 from kedge.estimation.linear_model import linear_model as linear_model
+from kedge.estimation.linearisation import LinearSystem as LinearSystem
+from kedge.estimation.linearisation import linearise as linearise
 from kedge.estimation.log import Log as Log
 from kedge.estimation.log import Recording as Recording
 from kedge.estimation.log import Truth as Truth
