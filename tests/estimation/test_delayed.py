@@ -11,7 +11,8 @@ from kedge.core.errors import ContractError, DataError
 from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
 from kedge.estimation.delayed import Origin, Window
-from kedge.estimation.online import Estimator, replay
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import replay
 from kedge.estimation.smoother import smooth
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.filters.particle.bootstrap import BootstrapParticle

@@ -16,7 +16,8 @@ from kedge.estimation import native
 from kedge.estimation.batch import estimate_with_history
 from kedge.estimation.compiled import compiled_pass
 from kedge.estimation.log import REPEATED
-from kedge.estimation.online import Estimator, replay
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import replay
 from kedge.estimation.rig import as_arrays, check_reads
 from kedge.numerics.losses import Loss
 from kedge.simulation.simulate import schedule, simulate, with_readings

@@ -11,7 +11,8 @@ from kedge.core.registry import filters
 from kedge.core.verdicts import Verdict
 from kedge.estimation import traced_step
 from kedge.estimation.batch import estimate
-from kedge.estimation.online import Estimator, replay
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import replay
 from kedge.filters.ensemble.stochastic import EnsembleKalman
 from kedge.filters.gaussian.extended import ExtendedKalman
 from kedge.sensors.gnss import Measurement

@@ -7,7 +7,8 @@ import pytest
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.registry import filters
-from kedge.estimation.online import Estimator, replay
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import replay
 from kedge.estimation.rig import Installation, Rig
 from kedge.estimation.smoother import smooth
 from kedge.filters.ensemble.stochastic import EnsembleKalman

@@ -80,9 +80,11 @@ class Steps(abc.ABC):
         return [(form.tree(row), form.tree(row, "record")) for row in rows]
 
 
-def begin_live(filter: AbstractFilter, rig: Rig, key: PRNGKeyArray) -> FilterState:
-    """The prior as what is carried into the first event."""
-    return _begin(filter, rig, key)
+def begin_live(
+    filter: AbstractFilter, rig: Rig, key: PRNGKeyArray, seconds: float = 0.0
+) -> FilterState:
+    """The prior as what is carried into the first event after some seconds."""
+    return _begin(filter, rig, key, jnp.asarray(seconds, float))
 
 
 def moments_of(belief: Any) -> Gaussian:
@@ -92,6 +94,6 @@ def moments_of(belief: Any) -> Gaussian:
 
 # Compiled, because an operation that is not costs as much as an event.
 _begin = eqx.filter_jit(
-    lambda filter, rig, key: as_arrays(begin(filter, rig, key, jnp.zeros(())))
+    lambda filter, rig, key, seconds: as_arrays(begin(filter, rig, key, seconds))
 )
 _moments = eqx.filter_jit(lambda belief: belief.moments())

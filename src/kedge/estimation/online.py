@@ -1,8 +1,9 @@
 """Online estimation: the same step over events that wait, behind a small stateful object."""
 
+import dataclasses
 import math
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import jax
@@ -24,13 +25,13 @@ from kedge.estimation.answer import Answer, Event
 from kedge.estimation.clipping import beyond
 from kedge.estimation.compiled import Engine
 from kedge.estimation.delayed import Origin, Window
-from kedge.estimation.live_steps import Steps, begin_live
-from kedge.estimation.log import SECOND, Log
-from kedge.estimation.native_step import NativeSteps, NotCompiled
+from kedge.estimation.live_steps import begin_live
+from kedge.estimation.log import SECOND
+from kedge.estimation.restart import Jump, jump, restarted
 from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.rows import EventForm, words_of
 from kedge.estimation.timeline import Timeline
-from kedge.estimation.traced_step import TracedSteps
+from kedge.estimation.traced_step import steps_for
 from kedge.estimation.transition import require_smoothable
 
 DAY = 86_400 * SECOND
@@ -83,8 +84,9 @@ class Estimator:
             if not good:
                 raise DataError(f"estimator: {name} is {value}, expected {_EXPECTED[name]}")
         key = jax.random.key(0) if key is None else key
+        self._engine: Engine = engine
+        self._key, self.resets = key, 0
         self._filter, self._rig = as_arrays((filter.bind_sensors(rig.names), rig))
-        # An attribute of a module costs as much as an event.
         self._names, self._vehicle = rig.names, rig.vehicle
         self._ranks = {name: rank for rank, name in enumerate(self._names)}
         self._unit = NS if clock == "ns" else 1.0
@@ -99,20 +101,29 @@ class Estimator:
         self._limits = rig.vehicle.control_limits()
         self.clipped: dict[str, int] = {}
         """How often a component of the control was told beyond its limit; it acts as that."""
-        still = jax.tree.map(_floats, rig.vehicle.nominal_control(0.0))
-        self._form, state = EventForm(rig, still), begin_live(self._filter, self._rig, key)
-        steps = _steps(self._filter, self._rig, self._form, state, key, engine)
-        self._steps, self._first = steps, steps.row_words
-        self._admission = Admission(rig, self._form, steps.rows, still, self._unit)
-        held: Any = np.zeros_like(steps.rows["held"][0])
+        self._still = jax.tree.map(_floats, rig.vehicle.nominal_control(0.0))
+        self._form, self._memory = EventForm(rig, self._still), (round(lag * SECOND), capacity)
+        state = begin_live(self._filter, self._rig, key)
+        self._compile(state)
+        held: Any = np.zeros_like(self._steps.rows["held"][0])
         if control is not None:
             held = self._admission.control(control)
             if held is None:
                 raise DataError(f"the control: found {control}, expected finite numbers")
-        origin = Origin(self._start, steps.pack(state), held)
-        window = Window(origin, round(lag * SECOND), capacity, self._form.said)
-        first = steps.first_answer(state).view(np.int64)
-        self._line = Timeline(steps, window, self._start, first, heard)
+        self._begin(state, self._start, held, heard)
+
+    def _compile(self, state: Any) -> None:
+        """The steps of its filter, and what lets events into their rows."""
+        steps = steps_for(self._filter, self._rig, self._form, state, self._key, self._engine)
+        self._steps, self._first = steps, steps.row_words
+        self._admission = Admission(self._rig, self._form, steps.rows, self._still, self._unit)
+
+    def _begin(self, state: Any, time: int, held: Any, heard: dict[int, int]) -> None:
+        """A window without events behind a state."""
+        origin = Origin(time, self._steps.pack(state), held)
+        window = Window(origin, *self._memory, self._form.said)
+        first = self._steps.first_answer(state).view(np.int64)
+        self._line = Timeline(self._steps, window, self._start, first, heard)
         self._state: tuple[Any, Any] = origin.words, state
 
     @property
@@ -243,15 +254,63 @@ class Estimator:
             DataError: the time is not finite, or before that of the newest event.
             ContractError: another thread pushes.
         """
+        return self._foreseen(nanoseconds(time, self._unit), "peek")
+
+    def reset(self, mean: Any, cov: Any = None, time: Any = None) -> Jump:
+        """Believe something else from now, or from ``time``, on; the jump that this was.
+
+        ``mean`` is a state or values by field, as an operator gives a pose: ``{"position":
+        [2.0, 1.0], "heading": 0.3}``; ``cov`` a covariance, or standard deviations by field.
+        What they do not name stays as it was. What is older than the reset is LATE from then
+        on; controls, counters and what was heard of sensors stay. :attr:`resets` counts them.
+
+        Raises:
+            DataError: a value is of no use, or the time is before that of the newest event.
+            ContractError: another thread pushes.
+        """
+        now = self._line.time if time is None else nanoseconds(time, self._unit)
+        before = self._foreseen(now, "reset")
+        after = restarted(before, mean, cov)
+        self._restart(after, now)
+        self.resets += 1
+        return jump(self._told(now), before, after)
+
+    def swap(self, filter: AbstractFilter) -> None:
+        """Go on with another filter, from mean and covariance of this one.
+
+        It compiles the new one's steps: prepare for that with one that is not driving. What is
+        older than the swap is LATE from then on.
+
+        Raises:
+            ContractError: the filter cannot run this rig; the old one goes on.
+        """
+        kept = self._filter, self._steps, self._first, self._admission
+        moments = self._foreseen(self._line.time, "swap")
+        try:
+            self._filter = as_arrays(filter.bind_sensors(self._names))
+            rig = dataclasses.replace(self._rig, prior=moments)
+            self._compile(begin_live(self._filter, rig, self._key))
+            self._restart(moments, self._line.time)
+        except BaseException:
+            self._filter, self._steps, self._first, self._admission = kept
+            raise
+
+    def _foreseen(self, at: int, what: str) -> Gaussian:
+        """What it will believe at that ns if nothing comes until then."""
         self._belongs_here()
-        at = nanoseconds(time, self._unit)
         if at < self._line.time:
             unit = _CLOCKS[self._unit]
             raise DataError(
-                f"peek at {time:.10g} {unit}: the newest event is at {self.time:.10g} {unit} "
-                "already"
+                f"{what} at {self._told(at):.10g} {unit}: the newest event is at "
+                f"{self.time:.10g} {unit} already"
             )
         return Answer(self._steps.form, self._line.peek(at)).moments
+
+    def _restart(self, belief: Gaussian, time: int) -> None:
+        rig = as_arrays(dataclasses.replace(self._rig, prior=belief))
+        key = jax.random.fold_in(self._key, self.resets + 1)
+        state = begin_live(self._filter, rig, key, (time - self._start) / SECOND)
+        self._begin(state, time, self._line.held, self._line.heard)
 
     def smoothed(self) -> list[tuple[Any, Gaussian]]:
         """The estimates of the window in the light of all its readings: a fixed-lag smoother.
@@ -317,45 +376,6 @@ class Estimator:
     def _told(self, time: int) -> Any:
         """A time as the clock counts."""
         return time if self._unit == NS else time / SECOND
-
-
-def replay(estimator: Estimator, log: Log) -> Iterator[Answer]:
-    """Push the events of a log in their order; one answer for each.
-
-    The estimator must have been made with the log's first control. A control is told when it
-    changes.
-    """
-    time, fired, rows = (np.asarray(part).tolist() for part in log.schedule)
-    controls, readings = jax.tree.map(np.asarray, (log.controls, log.readings))
-    for i in range(len(time)):
-        now, then = (
-            jax.tree.map(lambda leaf, at=at: leaf[at], controls)
-            for at in (i, min(i + 1, len(time) - 1))
-        )
-        pairs = zip(jax.tree.leaves(now), jax.tree.leaves(then), strict=True)
-        control = None if all(np.array_equal(a, b) for a, b in pairs) else then
-        if fired[i] < 0:
-            yield estimator.push(time[i], control=control)
-            continue
-        one = jax.tree.map(lambda leaf, at=rows[i]: leaf[at], readings[fired[i]])
-        yield estimator.push(
-            time[i],
-            estimator.sensors[fired[i]],
-            one.measurement,
-            control=control,
-            target=int(one.target),
-            cov=one.cov,
-        )
-
-
-def _steps(
-    filter: AbstractFilter, rig: Rig, form: EventForm, state: Any, key: Any, engine: Engine
-) -> Steps:
-    """The engine asked for, or the one that can."""
-    try:
-        return NativeSteps(filter, rig, form, state, engine)
-    except NotCompiled:
-        return TracedSteps(filter, rig, form, state, key)
 
 
 _CLOCKS = {1.0: "s", NS: "ns"}

@@ -9,7 +9,9 @@ from jaxtyping import PRNGKeyArray
 
 from kedge.core.contracts import AbstractFilter
 from kedge.estimation.admission import FLOAT
+from kedge.estimation.compiled import Engine
 from kedge.estimation.live_steps import Steps, Trail, moments_of
+from kedge.estimation.native_step import NativeSteps, NotCompiled
 from kedge.estimation.rig import Rig
 from kedge.estimation.rows import NO_SENSOR, EventForm
 from kedge.estimation.step import FilterState, predict_to, process_measurement
@@ -94,6 +96,16 @@ class TracedSteps(Steps):
             trail.append(self.pack(state))
         self._known = trail[-1], state
         return trail
+
+
+def steps_for(
+    filter: AbstractFilter, rig: Rig, form: EventForm, state: Any, key: Any, engine: Engine
+) -> Steps:
+    """The engine asked for, or the one that can."""
+    try:
+        return NativeSteps(filter, rig, form, state, engine)
+    except NotCompiled:
+        return TracedSteps(filter, rig, form, state, key)
 
 
 # Compiled, because an operation that is not costs as much as an event.

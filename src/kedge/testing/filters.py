@@ -18,7 +18,8 @@ from kedge.core.manifolds import space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Readings, Schedule
-from kedge.estimation.online import Estimator, replay
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import replay
 from kedge.estimation.rig import Installation, Rig
 from kedge.simulation.scenario import Scenario
 from kedge.simulation.simulate import record
