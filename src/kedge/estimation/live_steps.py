@@ -34,10 +34,10 @@ class Steps(abc.ABC):
     def __init__(self, filter: AbstractFilter, rig: Rig, events: EventForm, state: FilterState):
         self.smoothable = is_smoothable(filter)
         quiet = jax.tree.map(np.asarray, silence(widest(rig.sensors)))
-        moments = jax.eval_shape(lambda belief: belief.moments(), state.belief)
+        moments = jax.eval_shape(_moments, state.belief)
         past: Any = None
         if self.smoothable:
-            past = jax.eval_shape(lambda belief: still(filter, belief), state.belief)
+            past = jax.eval_shape(lambda belief: _still(filter, belief), state.belief)
         self.form = AnswerForm(quiet, moments)
         self.recorded_form = AnswerForm(quiet, moments, past)
         self.rows = events.blank(BATCH)
@@ -92,8 +92,10 @@ def moments_of(belief: Any) -> Gaussian:
     return belief if isinstance(belief, Gaussian) else _moments(belief)
 
 
-# Compiled, because an operation that is not costs as much as an event.
+# Compiled, because an operation that is not costs as much as an event; and traced once for all
+# estimators of one structure.
 _begin = eqx.filter_jit(
     lambda filter, rig, key, seconds: as_arrays(begin(filter, rig, key, seconds))
 )
 _moments = eqx.filter_jit(lambda belief: belief.moments())
+_still = eqx.filter_jit(still)
