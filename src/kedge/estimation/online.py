@@ -30,6 +30,7 @@ from kedge.estimation.log import SECOND
 from kedge.estimation.restart import Jump, jump, restarted
 from kedge.estimation.rig import Rig, as_arrays, check_step
 from kedge.estimation.rows import EventForm, words_of
+from kedge.estimation.saved import Saved, Settings
 from kedge.estimation.timeline import Timeline
 from kedge.estimation.traced_step import steps_for
 from kedge.estimation.transition import require_smoothable
@@ -38,7 +39,7 @@ DAY = 86_400 * SECOND
 """ns after its start beyond which the first event of an estimator is none of its clock."""
 
 
-class Estimator:
+class Estimator(Saved):
     """Feed events as they come; read the belief at any moment.
 
     A control holds from its time on; until the first, ``control`` does, or nothing. One that
@@ -86,6 +87,7 @@ class Estimator:
         key = jax.random.key(0) if key is None else key
         self._engine: Engine = engine
         self._key, self.resets = key, 0
+        self._settings = Settings(start, lag, horizon, capacity, clock)
         self._filter, self._rig = as_arrays((filter.bind_sensors(rig.names), rig))
         self._names, self._vehicle = rig.names, rig.vehicle
         self._ranks = {name: rank for rank, name in enumerate(self._names)}
