@@ -5,7 +5,8 @@ import pytest
 
 from kedge.core.manifolds import charts_of
 from kedge.estimation.log import Truth
-from kedge.evaluation.score import Track, errors_of, truth_at
+from kedge.evaluation.score import Track, errors_of
+from kedge.evaluation.truth import truth_at
 from kedge.vehicles.unicycle import State
 
 CHARTS = dict(charts_of(State))

@@ -8,7 +8,8 @@ from kedge.config.filters import build_filter
 from kedge.config.problem import load_problem
 from kedge.core.manifolds import charts_of
 from kedge.estimation.batch import estimate
-from kedge.evaluation.score import errors_of, track_of, truth_at
+from kedge.evaluation.score import errors_of, track_of
+from kedge.evaluation.truth import truth_at
 
 
 def passed(folder, name, overrides=None, until=None):

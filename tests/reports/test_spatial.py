@@ -11,8 +11,9 @@ from kedge.core.quantities import Attitude, Position3
 from kedge.core.verdicts import Verdict
 from kedge.estimation.log import Truth
 from kedge.evaluation import score
-from kedge.evaluation.score import Run, Track, errors_of, longest_gap
+from kedge.evaluation.score import Run, Track, errors_of
 from kedge.evaluation.scores import FilterScores, HealthScores
+from kedge.evaluation.truth import longest_gap
 from kedge.reports import spatial
 
 pytest.importorskip("matplotlib")

@@ -24,6 +24,7 @@ from kedge.apps.options import (
     LARGEST_SEED,
     FirstOut,
     Force,
+    ForceResults,
     Json,
     Out,
     Report,
@@ -102,6 +103,7 @@ def estimate(
     until: Until = None,
     seed: Seed = 0,
     set_: Set = None,
+    force: ForceResults = False,
     require_: Require = None,
     report: Report = True,
     as_json: Json = False,
@@ -114,7 +116,7 @@ def estimate(
     name = filter or problem.filter
     names = [name, f"{name}+smoother"] if smooth else [name]
     check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
-    summary = execute(problem, names, out, "estimate", seed, report)
+    summary = execute(problem, names, out, "estimate", seed, report, force)
     finish(summary, out, conditions, as_json, print_filters)
 
 
@@ -137,6 +139,7 @@ def compare(
     until: Until = None,
     seed: Seed = 0,
     set_: Set = None,
+    force: ForceResults = False,
     require_: Require = None,
     report: Report = True,
     as_json: Json = False,
@@ -149,7 +152,7 @@ def compare(
     names = with_smoothers(names) if smooth else names
     problem = load(rig, log, truth, until, set_)
     check_requirements(conditions, names, sensors=[s.name for s in problem.rig.sensors])
-    summary = execute(problem, names, out, "compare", seed, report)
+    summary = execute(problem, names, out, "compare", seed, report, force)
     finish(summary, out, conditions, as_json, print_filters)
 
 

@@ -23,7 +23,7 @@ from kedge.estimation.compilation_cache import use_compilation_cache
 from kedge.estimation.log import SECOND
 from kedge.evaluation.fix_scores import FixScores, LocateSummary, score_fixes
 from kedge.evaluation.record import record
-from kedge.evaluation.score import truth_at
+from kedge.evaluation.truth import truth_at
 from kedge.formats.results import as_toml, digest, write_csv, write_summary, write_table
 from kedge.formats.results_folder import results_folder
 from kedge.positioning.epochs import Epochs, epochs_of

@@ -44,4 +44,8 @@ Resume = Annotated[
     bool, typer.Option("--resume", help="Go on with the study that the folder holds.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace the study that it holds.")]
+ForceResults = Annotated[
+    bool,
+    typer.Option("--force", help="Replace earlier results also where you have changed them."),
+]
 Report = Annotated[bool, typer.Option(help="Draw the report and its figures.")]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings
 
 import jax
 import jax.random as jr
@@ -73,6 +74,7 @@ def execute(
     command: str,
     seed: int,
     report: bool = True,
+    force: bool = False,
 ) -> LogSummary:
     """Run the filters, write the folder of results with its report, return the summary.
 
@@ -82,7 +84,7 @@ def execute(
     if report:
         require_studio()
     use_compilation_cache()
-    with results_folder(out, "estimate") as folder, console_progress() as progress:
+    with results_folder(out, "estimate", force) as folder, console_progress() as progress:
         runs = run_filters(problem, names, seed, progress)
         summary = summarise(problem, runs, command, seed)
         progress("writing results")
@@ -199,12 +201,14 @@ def summarise(problem: Problem, runs: Sequence[Run], command: str, seed: int) ->
 
 def content_of(problem: Problem, runs: Sequence[Run], about: Provenance) -> ReportContent:
     """What the report is drawn from."""
+    with catch_warnings(action="ignore"):  # the scores have given them
+        truth = problem.truth and in_the_map(problem.truth, principal(runs).track)
     return ReportContent(
         title=problem.title,
         runs=list(runs),
         recording=problem.recording,
         rig=problem.rig,
-        truth=problem.truth and in_the_map(problem.truth, principal(runs).track),
+        truth=truth,
         target_names=problem.target_names,
         configuration=as_toml(problem.config),
         facts=facts_of(about),

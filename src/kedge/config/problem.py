@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int64
+from jaxtyping import Bool, Int, Int64
 
 from kedge.config.building import (
     build_installation,
@@ -16,12 +16,9 @@ from kedge.config.building import (
     build_sensor,
     build_vehicle,
 )
-from kedge.config.columns import find_columns
 from kedge.config.mounts import with_mounts
 from kedge.config.questions import odd_log
 from kedge.config.readings import (
-    find_table,
-    join,
     keep_targets,
     map_of,
     read_controls,
@@ -29,19 +26,19 @@ from kedge.config.readings import (
 )
 from kedge.config.rigs import RigConfig, load_rig_config
 from kedge.config.standing import with_standing
+from kedge.config.truth import check_overlap, pose_at, pose_table, reference_of, truth_of
 from kedge.core.contracts import AbstractSensor, AbstractVehicle
 from kedge.core.errors import ConfigError, DataError
-from kedge.core.manifolds import Chart, charts_of, columns_of, space_of
-from kedge.core.registry import unknown, vehicles
+from kedge.core.manifolds import charts_of
+from kedge.core.registry import vehicles
 from kedge.datasets.fetch import log_of
 from kedge.estimation.clipping import clipped, sentences
 from kedge.estimation.log import SECOND, Recording, Stamped, Truth, assemble
 from kedge.estimation.rig import Rig, check_step
 from kedge.evaluation.glitches import LONGEST, without_glitches
-from kedge.formats.attitudes import require_rotations
+from kedge.evaluation.truth import judged_at
 from kedge.formats.logs import RawLog, digest_inputs
 from kedge.formats.readers import read_log
-from kedge.formats.tables import Table, require_finite
 
 MOST_OUTPUTS = 5e6
 """More estimates than this in one log is a wrong stamp rather than a long drive."""
@@ -127,7 +124,7 @@ def fitted(
     bare, vehicle = build_vehicle(_placed(config, raw), raw.maps)
     notes = list(raw.notes)
     config = with_mounts(config, raw, set(charts_of(type(vehicle.start()))), notes)
-    reference = _reference(raw, truth)
+    reference = reference_of(raw, truth)
     control_stamps, controls = read_controls(config, raw, bare, notes)
     plain = {name: build_sensor(config, name, raw.maps) for name in config.sensors}
     stamped, sources = {}, {}
@@ -148,8 +145,8 @@ def fitted(
     start = int(control_stamps[0]) if len(control_stamps) else int(every.min())
     poses = None
     if config.prior.from_truth:
-        poses = _pose_table(config, raw, reference)
-        _check_overlap(poses, start, int(every.max()))
+        poses = pose_table(config, raw, reference)
+        check_overlap(poses, start, int(every.max()))
         if poses.stamps[0] > start:
             late, start = (int(poses.stamps[0]) - start) / SECOND, int(poses.stamps[0])
             notes.append(f"{poses.name} begins {late:.3g} s late; the estimate starts with it")
@@ -173,18 +170,21 @@ def fitted(
     if poses is not None:
         charts = charts_of(type(vehicle.start()))
         for field in config.prior.from_truth:
-            known[field] = _pose_at(poses, field, charts[field], start)
+            known[field] = pose_at(poses, field, charts[field], start)
     built = _rig_of(config, bare, vehicle, plain, known)
+    true, wrong, judged = None, 0, None
+    if reference is not None:
+        true, wrong = without_glitches(truth_of(config, reference, bare, start, end))
+        judged = judged_at(true, start, end, config.output.rate)
     recording = assemble(
-        start, end, control_stamps, controls, list(stamped.values()), config.output.rate
+        start, end, control_stamps, controls, list(stamped.values()), config.output.rate, judged
     )
     longest = float(np.diff(recording.stamps, prepend=start).max()) / SECOND
     rate = f"output.rate = {config.output.rate:g} Hz"
     check_step(vehicle, longest, f"{config.origin}: the longest step between events ({rate})")
     notes += sentences(clipped(recording, vehicle))
-    true, wrong = None, 0
-    if reference is not None:
-        true, wrong = without_glitches(_truth(config, reference, bare, start, end))
+    if judged is not None:
+        notes.append(f"truth: it is sparse; scores are those at its own {len(judged)} stamps")
     if wrong:
         notes.append(
             f"truth: {wrong} samples jump away and back (glitches of at most {LONGEST:g} s); "
@@ -295,98 +295,6 @@ def _silences(control_stamps: Int64[np.ndarray, " n"], end: int) -> list[str]:
     if gaps[-1] > SILENCE:
         notes.append(f"control: it ends {gaps[-1]:.1f} s before the log; the last is held")
     return notes
-
-
-def _reference(raw: RawLog, truth: str) -> Table | None:
-    if truth == "none":
-        return None
-    if truth == "auto" or (raw.truth is not None and truth == raw.truth.name):
-        return raw.truth
-    return find_table(raw, truth, "--truth")
-
-
-def _pose_table(config: RigConfig, raw: RawLog, reference: Table | None) -> Table:
-    if config.prior.source is not None:
-        return find_table(raw, config.prior.source, f"{config.origin}: prior.source")
-    table = raw.truth if reference is None else reference
-    if table is None:
-        raise DataError(
-            f"{config.origin}: prior.from_truth needs a true pose, but the log has no truth"
-        )
-    return table
-
-
-def _truth(
-    config: RigConfig, table: Table, vehicle: AbstractVehicle, start: int, end: int
-) -> Truth:
-    """The true trajectory from ``start`` to ``end``, with a pose before and behind for between.
-
-    Raises:
-        DataError: it has no field of the state, or is of another time.
-    """
-    fields = {
-        field: _field(table, field, chart)
-        for field, chart in charts_of(type(vehicle.start())).items()
-        if all(name in table.columns for name in columns_of(field, chart))
-    }
-    if not fields:
-        wanted = ", ".join(space_of(type(vehicle.start())).column_units)
-        raise DataError(
-            f"{table.path}: truth: found columns {', '.join(table.columns)}, expected some of "
-            f"{wanted}"
-        )
-    _check_overlap(table, start, end)
-    low = max(int(np.searchsorted(table.stamps, start, side="right")) - 1, 0)
-    high = int(np.searchsorted(table.stamps, end, side="left")) + 1
-    time = (table.stamps[low:high] - start) / SECOND
-    cut = {name: values[low:high] for name, values in fields.items()}
-    return Truth(time, cut, config.truth.own_frame)
-
-
-def _check_overlap(table: Table, start: int, end: int) -> None:
-    first, last = int(table.stamps[0]), int(table.stamps[-1])
-    if last < start or first > end:
-        raise DataError(
-            f"{table.path}: truth does not overlap in time: it spans {_span(first, last)}, the "
-            f"controls and readings {_span(start, end)}"
-        )
-
-
-def _field(table: Table, field: str, chart: Chart) -> Float[np.ndarray, "n ..."]:
-    names = columns_of(field, chart)
-    unit = chart.unit if chart.shape == chart.tangent_shape else "1"
-    columns = find_columns(table, dict.fromkeys(names, unit), {}, "truth")
-    require_finite(table, names, "truth")
-    values = join(columns, names, (len(table.stamps), *chart.shape))
-    if chart.shape != chart.tangent_shape:
-        require_rotations(table.path, table.lines, values, f"truth: {field}")
-    return values
-
-
-def _span(first: int, last: int) -> str:
-    def seconds(stamp: int) -> str:
-        return f"{'-' if stamp < 0 else ''}{abs(stamp) // SECOND}.{abs(stamp) % SECOND:09d}"
-
-    return f"{seconds(first)} s to {seconds(last)} s"
-
-
-def _pose_at(table: Table, field: str, chart: Chart, stamp: int) -> np.ndarray:
-    """A true field at ``stamp``: between two poses by the chart, outside the nearest."""
-    if absent := [name for name in columns_of(field, chart) if name not in table.columns]:
-        what = unknown("column", absent[0], list(table.columns))
-        raise DataError(f"{table.path}: {what} (for prior.from_truth)")
-    values = _field(table, field, chart)
-    after = int(np.clip(np.searchsorted(table.stamps, stamp), 1, max(len(values) - 1, 1)))
-    if len(values) == 1:
-        return values[0]
-    low, high = table.stamps[after - 1], table.stamps[after]
-    share = float(np.clip((stamp - low) / (high - low), 0.0, 1.0))
-
-    @jax.jit  # one program to compile instead of ten
-    def between(before, behind, share):
-        return chart.boxplus(before, share * chart.boxminus(behind, before))
-
-    return np.asarray(between(values[after - 1], values[after], share))
 
 
 def _cut(

@@ -152,7 +152,8 @@ LONGEST = 60
 
 def unknown(kind: str, name: str, known: list[str]) -> str:
     """The sentence for a name that does not exist: the nearest first, then all."""
-    near = difflib.get_close_matches(name, known, n=1)
+    near = [other for other in known if other.casefold() == name.casefold()]
+    near = near or difflib.get_close_matches(name, known, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     name = name if len(name) <= LONGEST else f"{name[:LONGEST]}..."
     return f"no {kind} called {name!r}{hint}; there are {', '.join(known) or 'none'}"

@@ -83,6 +83,8 @@ class Recording(NamedTuple):
     """Indices of the events at which the estimate is asked for."""
     truth: Truth | None = None
     """The true trajectory, where the log has one."""
+    judged: Int[np.ndarray, " J"] | None = None
+    """Indices of the events at which it is compared with truth; None: at the outputs."""
     notes: tuple[str, ...] = ()
     """What was left out or changed when it was read."""
 
@@ -94,12 +96,13 @@ def assemble(
     controls: Any,
     sources: Sequence[Stamped],
     output_rate: float,
+    judged: Int[np.ndarray, " j"] | None = None,
 ) -> Recording:
-    """Merge controls, readings and output times into one log.
+    """Merge controls, readings, output times and those of a sparse truth into one log.
 
     Events from ``start`` to ``end``, both included. Controls are held from their stamp on; the
     first also before it. Events at one time stand
-    in the order control, sensors as installed, output.
+    in the order control, sensors as installed, output, ``judged``.
 
     Raises:
         DataError: nothing happens between ``start`` and ``end``, or floats cannot tell its
@@ -112,7 +115,7 @@ def assemble(
     inside = (control_stamps > start) & (control_stamps <= end)
     tables = [(control_stamps[inside], -1)]
     tables += [(source.stamps, index) for index, source in enumerate(sources)]
-    tables.append((grid, -2))
+    tables += [(grid, -2), (np.zeros(0, np.int64) if judged is None else judged, -3)]
 
     stamps = np.concatenate([stamps for stamps, _ in tables])
     sensor = np.concatenate([np.full(len(s), index) for s, index in tables])
@@ -135,7 +138,11 @@ def assemble(
     )
     readings = tuple(jax.tree.map(jnp.asarray, without_repeats(source)) for source in sources)
     return Recording(
-        Log(schedule, at_events, readings), start, stamps, np.flatnonzero(sensor == -2)
+        Log(schedule, at_events, readings),
+        start,
+        stamps,
+        np.flatnonzero(sensor == -2),
+        judged=None if judged is None else np.flatnonzero(sensor == -3),
     )
 
 

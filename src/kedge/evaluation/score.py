@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.errors import DataError
@@ -17,7 +17,7 @@ from kedge.core.manifolds import Chart, charts_of, space_of
 from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates
 from kedge.estimation.clipping import clipped
-from kedge.estimation.log import Recording, Truth
+from kedge.estimation.log import SECOND, Recording, Truth
 from kedge.estimation.rig import Rig
 from kedge.evaluation.attitudes import angles_of
 from kedge.evaluation.by_target import target_scores
@@ -42,13 +42,7 @@ from kedge.evaluation.trajectory import (
     relative_pose_error,
     umeyama,
 )
-
-MAX_GAP = 0.5  # s; across a longer gap truth is unknown, unless it never comes more often
-
-
-def longest_gap(time: Float[np.ndarray, " K"]) -> float:
-    """The longest gap between samples of truth, in s, across which it is still known."""
-    return max(MAX_GAP, 1.5 * float(np.median(np.diff(time)))) if len(time) > 1 else MAX_GAP
+from kedge.evaluation.truth import longest_gap, truth_at
 
 
 class Track(NamedTuple):
@@ -88,13 +82,15 @@ class Run(NamedTuple):
     scores: FilterScores
 
 
-def track_of(estimates: Estimates, recording: Recording) -> Track:
-    """The estimate at the times at which it was asked for.
+def track_of(
+    estimates: Estimates, recording: Recording, events: Int[np.ndarray, " K"] | None = None
+) -> Track:
+    """The estimate at the times at which it was asked for, or after other ``events``.
 
     Raises:
         DataError: it is not finite; the message says from when on.
     """
-    at = recording.outputs
+    at = recording.outputs if events is None else events
     mean = jax.tree.map(lambda leaf: np.asarray(leaf)[at], estimates.moments.mean)
     cov = np.asarray(estimates.moments.cov)[at]
     time = np.asarray(estimates.time)[at]
@@ -103,6 +99,19 @@ def track_of(estimates: Estimates, recording: Recording) -> Track:
     if not finite.all():
         raise DataError(f"the estimate is not finite from {time[np.argmin(finite)]:.3f} s on")
     return Track(time, recording.stamps[at], mean, cov)
+
+
+def at_truth(estimates: Estimates, recording: Recording) -> Track:
+    """The estimate where it is compared: at the outputs, or at the stamps of a sparse truth.
+
+    Raises:
+        DataError: it is not finite; the message says from when on.
+    """
+    if recording.judged is None:
+        return track_of(estimates, recording)
+    track = track_of(estimates, recording, recording.judged)
+    # As truth counts its time, to the bit: 32-bit floats would be beside it.
+    return track._replace(time=(track.stamps - recording.start) / SECOND)
 
 
 def errors_of(track: Track, truth: Truth, max_gap: float | int | None = None) -> Errors:
@@ -127,30 +136,6 @@ def errors_of(track: Track, truth: Truth, max_gap: float | int | None = None) ->
         track.cov[:, picked][:, :, picked],
         fields,
     )
-
-
-def truth_at(
-    truth: Truth,
-    time: Float[np.ndarray, " K"],
-    charts: Mapping[str, Chart],
-    max_gap: float | int | None = None,
-) -> tuple[dict[str, np.ndarray], Bool[np.ndarray, " K"]]:
-    """The true fields with a chart, on the shortest way between samples; and where known.
-
-    Outside the samples, and across gaps longer than ``max_gap`` (:func:`longest_gap` if it is
-    not given), truth is not known; the values there mean nothing.
-    """
-    max_gap = longest_gap(truth.time) if max_gap is None else max_gap
-    right = np.searchsorted(truth.time, time).clip(1, len(truth.time) - 1)
-    span = truth.time[right] - truth.time[right - 1]
-    share = (time - truth.time[right - 1]) / span
-    covered = (share >= 0) & (share <= 1) & ((span <= max_gap) | (share == 0) | (share == 1))
-    fields = {}
-    for name, chart in charts.items():
-        if name in truth.fields:
-            values = truth.fields[name]
-            fields[name] = _between(chart, values[right - 1], values[right], share)
-    return fields, covered
 
 
 def score(
@@ -184,11 +169,12 @@ def score(
     )
     if truth is None:
         return Run(name, estimates, track, None, scores)
-    truth = in_the_map(truth, track)
-    errors = errors_of(track, truth)
-    scores = _with_errors(scores, errors, _spatial_errors(track, truth, errors))
+    judged = at_truth(estimates, recording)
+    truth = in_the_map(truth, judged)
+    errors = errors_of(judged, truth)
+    scores = _with_errors(scores, errors, _spatial_errors(judged, truth, errors))
     if "position" in errors.fields:
-        scores = _with_path(scores, track, truth)
+        scores = _with_path(scores, judged, truth)
     return Run(name, estimates, track, errors, scores)
 
 
@@ -207,7 +193,9 @@ def in_the_map(truth: Truth, track: Track) -> Truth:
     if "position" not in truth.fields or not hasattr(track.mean, "position"):
         raise DataError("truth in a frame of its own needs positions to be moved by")
     known = Trajectory(truth.time, truth.fields["position"])
-    estimate, true = associate(Trajectory(track.time, track.mean.position), known, MAX_GAP)
+    estimate, true = associate(
+        Trajectory(track.time, track.mean.position), known, longest_gap(truth.time)
+    )
     try:
         known = umeyama(true.position, estimate.position, False).apply(known)
     except DataError as error:
@@ -217,19 +205,6 @@ def in_the_map(truth: Truth, track: Track) -> Truth:
             stacklevel=2,
         )
     return Truth(truth.time, {"position": known.position})
-
-
-def _between(
-    chart: Chart, before: np.ndarray, after: np.ndarray, share: Float[np.ndarray, " K"]
-) -> np.ndarray:
-    """Points on the chart's shortest ways from ``before`` to ``after``."""
-
-    @jax.jit
-    @jax.vmap
-    def one(before, after, part):
-        return chart.boxplus(before, part * chart.boxminus(after, before))
-
-    return np.asarray(one(before, after, share))
 
 
 def _minus(chart: Chart, true: np.ndarray, mean: np.ndarray) -> Float[np.ndarray, "K c"]:

@@ -20,6 +20,7 @@ from kedge.formats.atomic import (
     entries,
     leftovers,
     put,
+    replace_file,
     reserved,
     sweep,
     sync,
@@ -54,16 +55,25 @@ def fresh_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def results_folder(path: str | os.PathLike[str], kind: str) -> Iterator[Path]:
+def results_folder(
+    path: str | os.PathLike[str], kind: str, force: bool = False
+) -> Iterator[Path]:
     """The same, but what a command of this kind wrote there earlier is replaced.
+
+    With ``force`` also those of its files that were changed since, once the block has ended
+    well; never a file that it did not write.
 
     Raises:
         DataError: the folder has something in it that is not such a result, or is no longer
             as it was written; or it cannot be written.
     """
     with reserved_folder(path) as target, draft_in(target) as draft:
-        examine(target, kind)
+        mark = examine(target, kind, force)
         yield draft
+        if force and mark is not None:
+            present = [name for name in mark.files if os.path.lexists(target / name)]
+            as_it_is = Mark(kind, {name: _digest(target, name) for name in present})
+            replace_file(target / MARK, mark_text(as_it_is))
         commit(draft, target, kind)
 
 
@@ -76,8 +86,8 @@ def reserved_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield target
 
 
-def examine(target: Path, kind: str | None) -> Mark | None:
-    """What a command may replace in a folder; None if it is empty.
+def examine(target: Path, kind: str | None, changed: bool = False) -> Mark | None:
+    """What a command may replace in a folder, also if ``changed``; None if it is empty.
 
     Raises:
         DataError: it may not replace what is there.
@@ -92,7 +102,7 @@ def examine(target: Path, kind: str | None) -> Mark | None:
             f"{target}: holds what 'kedge {mark.kind}' wrote, which 'kedge {kind}' does not "
             "replace; choose another folder"
         )
-    for name in mark.files:
+    for name in () if changed else mark.files:
         check_unchanged(target, mark, name)
     return mark
 

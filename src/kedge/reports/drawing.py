@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int
 from kedge.core.manifolds import space_of
 from kedge.core.verdicts import Verdict
 from kedge.evaluation.consistency import chi_square_bound
-from kedge.evaluation.score import Run, longest_gap
+from kedge.evaluation.score import Run
+from kedge.evaluation.truth import longest_gap
 from kedge.reports import style
 
 if TYPE_CHECKING:

@@ -97,8 +97,8 @@ def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
             lines.append(
                 f"{word}, by the share of errors in the 95\u00a0% bound: {', '.join(names)}."
             )
-    if judged:
-        missing = 1 - (judged[0].scores.samples or 0) / len(judged[0].track.time)
+    if judged and (errors := judged[0].errors):
+        missing = 1 - (judged[0].scores.samples or 0) / len(errors.time)
         if missing > 0.01:
             lines.append(f"Truth is unknown at {style.percent(missing)} of the output times.")
     for run in rivals(runs):

@@ -8,7 +8,8 @@ import numpy as np
 from kedge.core.manifolds import space_of
 from kedge.estimation.log import Truth
 from kedge.evaluation.attitudes import angles_of
-from kedge.evaluation.score import Run, longest_gap
+from kedge.evaluation.score import Run
+from kedge.evaluation.truth import longest_gap
 from kedge.reports import style
 from kedge.reports.drawing import (
     TIME,

@@ -16,7 +16,7 @@ from kedge.core.verdicts import Verdict
 from kedge.estimation.batch import Estimates, estimate
 from kedge.estimation.log import Log, Recording, Truth
 from kedge.estimation.rig import Rig
-from kedge.evaluation.score import truth_at
+from kedge.evaluation.truth import truth_at
 from kedge.filters.wrappers.withholding import Withholding
 from kedge.numerics.linalg import cholesky, solve_lower
 from kedge.numerics.losses import TUNING, Loss
