@@ -123,6 +123,7 @@ def test_every_reading_has_its_source_and_its_verdict(drive):
         "camera: 1 readings of targets robot were left out",
         "camera: 1 readings name targets that are not on the map: c; they are refused",
         "camera: 1 readings before the start were left out",
+        "truth: it is sparse; scores are those at its own 4 stamps",
     ]
     assert verdicts(problem, "camera") == [
         Verdict.FUSED,
@@ -211,6 +212,25 @@ def test_truth_can_be_left_out_cut_or_begin_late(drive):
     late = drive.load()
     assert late.recording.start == START + 1_500_000_000
     assert "truth begins" in late.notes[2]
+
+
+def test_a_sparse_truth_is_compared_with_at_its_own_stamps(drive):
+    problem = drive.load()
+    assert problem.recording.judged is not None
+    stamps = problem.recording.stamps[problem.recording.judged] - START
+    assert stamps.tolist() == [k * 10**9 + 5 * 10**8 for k in range(4)]
+    assert "scores are those at its own 4 stamps" in problem.notes[-1]
+    assert drive.load(truth="none").recording.judged is None
+
+
+def test_a_prior_from_a_sensors_source_takes_its_latency_into_account(drive):
+    """The fix stamped 1.5 s later was made when it says: it moves with 1 m/s from 1 m."""
+    drive.swap("rig", 'from_truth = ["position", "heading"]', 'from_truth = ["position"]')
+    drive.swap("rig", "[prior]", '[prior]\nsource = "fix"')
+    drive.swap("fix.csv", "2,,0.04,,", "2,0,0.04,0.01,0.09")
+    for latency, place in ((0.0, 1.0), (1.5, 1.5)):
+        late = drive.load(truth="none", overrides={"sensors.gnss.latency": str(latency)})
+        np.testing.assert_allclose(late.rig.prior.mean.position, [place, 0.0])
 
 
 def test_a_vehicle_without_control_starts_at_its_first_reading(drive):

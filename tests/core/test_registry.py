@@ -9,7 +9,7 @@ import kedge.sensors
 import kedge.vehicles
 from kedge.core import registry
 from kedge.core.errors import ContractError, UnknownName
-from kedge.core.registry import Registry
+from kedge.core.registry import Registry, unknown
 
 FAMILIES = {
     registry.vehicles: kedge.vehicles,
@@ -80,3 +80,10 @@ def test_installed_entry_points_are_members(monkeypatch):
         registry, "entry_points", lambda group: [Point()] if group == "kedge.vehicles" else []
     )
     assert "hovercraft" in family.names()
+
+
+def test_a_name_in_another_case_is_the_nearest():
+    """By letters alone "X" is as far from "x" as from any other."""
+    text = unknown("column", "X", ["y", "x", "stamp"])
+    assert "did you mean 'x'?" in text
+    assert "did you mean 'time'?" in unknown("column", "TIME", ["tIMES", "time"])

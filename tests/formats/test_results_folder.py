@@ -39,6 +39,30 @@ def out(tmp_path):
     return folder
 
 
+def test_with_force_what_was_changed_since_is_replaced_and_what_is_foreign_is_not(out):
+    (out / "summary.json").write_text("by hand")
+    (out / "notes").write_text("mine")
+    with pytest.raises(DataError, match="was changed since kedge wrote it"):
+        write(out, summary_json="2")
+    with pytest.raises(ZeroDivisionError), open_results(out, "estimate", force=True):
+        _ = 1 / 0
+    assert tree(out) == {"summary.json": "by hand", "table.csv": "a", "notes": "mine"}
+    with open_results(out, "estimate", force=True) as draft:
+        (draft / "summary.json").write_text("2")
+    assert tree(out) == {"summary.json": "2", "notes": "mine"}
+    with (
+        pytest.raises(DataError, match="was not written by kedge"),
+        open_results(out, "estimate", force=True) as draft,
+    ):
+        (draft / "notes").write_text("2")
+    with (
+        pytest.raises(DataError, match="'kedge locate' does not replace"),
+        open_results(out, "locate", force=True),
+    ):
+        pass
+    assert tree(out) == {"summary.json": "2", "notes": "mine"}
+
+
 def test_files_that_are_no_longer_written_go(out):
     write(out, summary_json="2")
     assert tree(out.parent) == {"out/summary.json": "2"}

@@ -79,6 +79,12 @@ def init(log: Undeclared, out: FirstOut = None) -> None:
         typer.echo(f"note: {note}", err=True)
     if first.missing:
         typer.echo(f"kedge: warning: the rig needs an edit first: {first.missing}", err=True)
+    else:
+        typer.echo(
+            f"too small: `kedge check {first.files[-1]} LOG` says what is not honest",
+            f"too small: `kedge check {first.files[-1]} LOG` says what is not honest",
+            err=True,
+        )
 
 
 @app.command()

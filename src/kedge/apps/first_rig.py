@@ -45,6 +45,11 @@ UNTURNED = (
     "# [sensors.NAME_OF_THE_SOURCE]",
     '# model = "attitude"',
 )
+GUESSED = (
+    "# Noises, scales and mounts are guesses: `kedge check` with this rig and log says whether",
+    "# the spreads are honest. What lasts in a sensor's error is its `error` = std and",
+    "# time_constant.",
+)
 STD = {"position": 1.0, "heading": 0.5, "velocity": 1.0, "attitude": 0.1, "angular_rate": 0.1}
 KNOWN = {"position": 0.1, "heading": 0.05, "attitude": 0.05}
 """What is believed at the start: of what a sensor tells, and of what the truth tells."""
@@ -77,7 +82,7 @@ def rig_text(raw: RawLog, preamble: str) -> str:
         or any("position_z" in targets.columns for targets in raw.maps.values())
     ):
         model = "wandering3"
-    lines = [preamble.rstrip("\n")]
+    lines = [preamble.rstrip("\n"), "", *GUESSED]
     if apart:
         lines += ["", "# Its axes are not those of the fixes: the path's shape is compared."]
         lines += ["[truth]", "own_frame = true"]
