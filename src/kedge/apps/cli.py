@@ -81,8 +81,8 @@ def init(log: Undeclared, out: FirstOut = None) -> None:
         typer.echo(f"kedge: warning: the rig needs an edit first: {first.missing}", err=True)
     else:
         typer.echo(
-            "note: noises, scales and mounts of the rig are guesses; its spreads may be far too "
-            f"small: `kedge check {first.files[-1]} LOG` says what is not honest",
+            "note: noises, scales and mounts of the rig are guesses; its spreads may be "
+            f"far too small: `kedge check {first.files[-1]} LOG` says what is not honest",
             err=True,
         )
 
