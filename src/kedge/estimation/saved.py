@@ -202,13 +202,13 @@ def arrays_of(window: Window) -> dict[str, np.ndarray]:
     }
 
 
-def restore(window: Window, arrays: Arrays, control: slice) -> None:
-    """Put them back into an empty window; ``control`` is where a row's words hold one."""
+def restore(window: Window, arrays: Arrays, place: slice) -> None:
+    """Put them back into an empty window; ``place`` is that of a control in a row's words."""
     time, window.closed, window.full = arrays["times"].tolist()
     window.origin = Origin(time, arrays["origin"], arrays["held"])
     words = iter(arrays["words"])
     for order, row, kept in zip(
         arrays["orders"].tolist(), arrays["rows"], arrays["kept"], strict=True
     ):
-        told = row[control].view(float).copy() if row[HAS_CONTROL] else None
-        window.append(tuple(order), row.copy(), told, next(words).copy() if kept else None)
+        control = row[place].view(float).copy() if row[HAS_CONTROL] else None
+        window.append(tuple(order), row.copy(), control, next(words).copy() if kept else None)
