@@ -75,6 +75,16 @@ def test_later_answers_are_equal_to_the_bit(name, rig, key):
     assert bits(third, story(120, 130)) == bits(estimator, story(120, 130))
 
 
+@pytest.mark.slow
+def test_after_a_swap_it_is_the_state_of_the_new_filter(halfway, rig, key):
+    halfway.swap(filters.make("unscented"))
+    state = halfway.state()
+    with pytest.raises(DataError, match="it is of another filter"):
+        Estimator.from_state(state, filters.make("extended"), rig, key)
+    again = Estimator.from_state(state, filters.make("unscented"), rig, key)
+    assert bits(again, story(60, 120)) == bits(halfway, story(60, 120))
+
+
 def test_what_has_changed_is_refused(halfway, rig, key):
     state = halfway.state()
     again = lambda data: Estimator.from_state(data, filters.make("extended"), rig, key)  # noqa: E731
