@@ -44,7 +44,8 @@ def test_a_carrier_is_followed(fleet):
     frames = driven(fleet, 300)
     column = COLUMNS.index
     poses = np.array([frame.poses[0] for frame in frames[50:]])
-    off = np.hypot(*(poses[:, column(a)] - poses[:, column(b)] for a, b in (("x", "trueX"), ("y", "trueY"))))  # fmt: skip
+    x, y, true_x, true_y = (poses[:, column(name)] for name in ("x", "y", "trueX", "trueY"))
+    off = np.hypot(x - true_x, y - true_y)
     inside = off < poses[:, column("major")]
     assert np.mean(inside) > 0.9
     assert fleet.engine.vehicles[0].status.value == "OK"

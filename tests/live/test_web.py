@@ -28,7 +28,8 @@ def served(fleet, token=None):
         thread.start()
         until = time.monotonic() + 10
         while not server.started:
-            assert thread.is_alive() and time.monotonic() < until
+            assert thread.is_alive()
+            assert time.monotonic() < until
             time.sleep(0.02)
         try:
             yield f"127.0.0.1:{listening.getsockname()[1]}"
@@ -80,8 +81,9 @@ def test_without_its_token_nothing_is_served(carrier):
             pass
         with client.connect(f"ws://{address}/v1/page?token=secret") as page:
             assert isinstance(page.recv(5), bytes)
-        foreign = client.connect(
-            f"ws://{address}/v1/page?token=secret", origin="http://else.org"
-        )
-        with pytest.raises(Exception, match="403"), foreign:
+        url = f"ws://{address}/v1/page?token=secret"
+        with (
+            pytest.raises(Exception, match="403"),
+            client.connect(url, origin="http://else.org"),
+        ):
             pass

@@ -1,1 +1,1 @@
-"""The live service: vehicles that report as they drive, what is believed of them, and a page."""
+"""The live service: vehicles that report as they drive, and what is believed of them."""

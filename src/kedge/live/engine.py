@@ -155,7 +155,7 @@ class Engine:
         if not len(rows):
             return []
         answers, judged = self.vehicles[number].push(rows, received)
-        moments = answers["moments"]
+        moments: Any = answers["moments"]
         for column in (answers["verdict"], *(moments[name] for name in moments.dtype.names)):
             self._digest.update(np.ascontiguousarray(column).tobytes())
         return judged

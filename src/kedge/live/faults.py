@@ -31,7 +31,8 @@ class Switched(NamedTuple):
 
     @classmethod
     def checked(
-        cls, number: int, kind: Any, vehicle: int, source: Any, sources: int, now: float, seconds: Any
+        cls, number: int, kind: Any, vehicle: int, source: Any, sources: int, now: float,
+        seconds: Any,
     ) -> "Switched":  # fmt: skip
         """A fault as somebody asked for it.
 

@@ -48,10 +48,11 @@ _YARD = {
 }
 """The yard for a while, with a camera that is as good as a laser scanner."""
 _CARRIER = ("AGV, differential drive", "box", (1.6, 1.0))
+_GATED = {"sensors.camera.gate": "0.001"}
 FLEET = (
     Plan("carrier 1", "yard", 1, *_CARRIER, _YARD),
     Plan("carrier 2", "yard", 2, *_CARRIER, _YARD),
-    Plan("shuttle", "omni-square", 3, "AGV, omnidirectional", "disc", (0.9, 0.9), {"sensors.camera.gate": "0.001"}),
+    Plan("shuttle", "omni-square", 3, "AGV, omnidirectional", "disc", (0.9, 0.9), _GATED),
     Plan("otter", "auv-survey", 4, "AUV, thruster driven", "hull", (1.9, 0.7)),
 )  # fmt: skip
 
@@ -101,7 +102,7 @@ def _std(rig: Rig, width: int) -> np.ndarray:
     return std
 
 
-def _events(log: Log, sensors: Sequence[str]) -> Iterator[Event]:
+def _events(log: Log, sensors: tuple[str, ...]) -> Iterator[Event]:
     """The events of a log, with the control of the next interval where it changes."""
     time, fired, rows = (np.asarray(part).tolist() for part in log.schedule)
     controls, readings = jax.tree.map(np.asarray, (log.controls, log.readings))
@@ -117,7 +118,8 @@ def _events(log: Log, sensors: Sequence[str]) -> Iterator[Event]:
             yield Event(at, control=control)
             continue
         one = jax.tree.map(lambda leaf, row=rows[i]: leaf[row], readings[fired[i]])
-        yield Event(at, sensors[fired[i]], one.measurement, control, int(one.target), one.cov)
+        name: str = sensors[fired[i]]
+        yield Event(at, name, one.measurement, control, int(one.target), one.cov)
 
 
 class Fleet:
@@ -209,7 +211,7 @@ class Fleet:
         return rows
 
     def _concerned(self, number: int, fault: Switched) -> np.ndarray:
-        """The sensors that a fault is of: without a source those that tell a position, or all."""
+        """The sensors of a fault: without a source those that tell a position, or all."""
         if fault.source is not None:
             return np.array([fault.source])
         absolute = self.engine.vehicles[number].absolute

@@ -49,8 +49,9 @@ def reasons_of(
     since_fused: float,
     limits: Limits,
 ) -> list[Reason]:
-    """Reasons, the worst first; ``deviation`` is the 95 % bound in m, ``since_fused`` the s
-    since a position was fused.
+    """Reasons, the worst first.
+
+    ``deviation`` is the 95 % bound in m, ``since_fused`` the s since a position was fused.
     """
     reasons, lost = [], False
     for source, tells_position in zip(sources, absolute, strict=True):
@@ -98,7 +99,7 @@ def _badness(reason: Reason) -> int:
 
 
 class Status:
-    """A status that is quick to worsen and slow to recover, and since when each reason holds."""
+    """A status, quick to worsen and slow to recover, and since when each reason holds."""
 
     def __init__(self, now: float, limits: Limits):
         self.value, self.since, self._limits = "ALIGNING", now, limits

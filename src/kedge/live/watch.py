@@ -8,7 +8,7 @@ import numpy as np
 from kedge.core.verdicts import Verdict
 
 WINDOW = 5.0
-"""s over which a source is judged, or four of its readings where they are rarer."""
+"""s over which a source is judged, or four periods of it if that is longer."""
 
 
 class Judged(NamedTuple):

@@ -1,7 +1,7 @@
 """The web server: the page, what it is told, and the frames.
 
-Needs ``pip install 'kedge-nav[live]'``. With a token every request but ``/ready`` must bring it,
-as ``?token=`` or ``Authorization: Bearer``.
+Needs ``pip install 'kedge-nav[live]'``. With a token every request but ``/ready`` must bring
+it, as ``?token=`` or ``Authorization: Bearer``.
 """
 
 import asyncio
@@ -121,7 +121,10 @@ async def _serve_page(socket: WebSocket, service: Service) -> None:
         if not waiting.full():
             waiting.put_nowait(frame)
 
-    leave = service.listen(lambda frame: loop.call_soon_threadsafe(put, frame))
+    def listener(frame: bytes) -> None:
+        loop.call_soon_threadsafe(put, frame)
+
+    leave = service.listen(listener)
 
     async def send() -> None:
         while True:
