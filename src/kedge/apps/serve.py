@@ -25,7 +25,6 @@ def execute(host: str, port: int, token: str | None, speed: float) -> None:
         raise ConfigError(f"--speed: found {speed:g}, expected 0.1 to 100")
     try:
         import uvicorn
-        import websockets
 
         from kedge.live.web import application
     except ModuleNotFoundError as error:

@@ -12,7 +12,7 @@ WINDOW = 5.0
 
 
 class Judged(NamedTuple):
-    """One reading and what became of it; times in s, those of receipt by the service's clock."""
+    """One reading and what became of it; times in s, that of receipt by the service's clock."""
 
     sensor: int
     target: int
