@@ -14,6 +14,9 @@ from kedge.live.simulated import FLEET, Fleet, drive
 from kedge.vehicles.unicycle import State
 
 
+pytestmark = pytest.mark.slow  # a drive is simulated first
+
+
 @pytest.fixture(scope="module")
 def carrier():
     plan = FLEET[0]

@@ -14,6 +14,7 @@ from kedge.live.simulated import FLEET, Fleet, drive
 
 uvicorn = pytest.importorskip("uvicorn")
 client = pytest.importorskip("websockets.sync.client")
+pytestmark = pytest.mark.slow  # a drive is simulated first
 
 
 @contextlib.contextmanager
