@@ -13,7 +13,6 @@ from kedge.live.service import Service
 from kedge.live.simulated import FLEET, Fleet, drive
 from kedge.vehicles.unicycle import State
 
-
 pytestmark = pytest.mark.slow  # a drive is simulated first
 
 
