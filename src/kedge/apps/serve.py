@@ -25,6 +25,7 @@ def execute(host: str, port: int, token: str | None, speed: float) -> None:
         raise ConfigError(f"--speed: found {speed:g}, expected 0.1 to 100")
     try:
         import uvicorn
+        import websockets  # noqa: F401  (uvicorn needs it, and would say so too late)
 
         from kedge.live.web import application
     except ModuleNotFoundError as error:
