@@ -40,15 +40,25 @@ def test_a_heading_that_the_prior_knows_is_kept():
     """At .05 rad all of the prior's moments are; and a wide one has the circle's density."""
     cov = jnp.array([[4.0, 0.0, 0.01], [0.0, 9.0, 0.02], [0.01, 0.02, 0.0025]])
     prior = Gaussian(State(jnp.ones(2), jnp.array(0.5)), cov)
-    moments = Hypotheses(count=8).init(prior, NONE).moments()
+    moments = Hypotheses(count=8, doubt=0.0).init(prior, NONE).moments()
     np.testing.assert_allclose(moments.mean.heading, 0.5)
     np.testing.assert_allclose(moments.cov, cov, atol=1e-9)
     for variance in (0.8, 3.9, 4.1):
         wide = prior._replace(cov=jnp.diag(jnp.array([4.0, 9.0, variance])))
-        weights = np.exp(Hypotheses(count=8).init(wide, NONE).log_weights)
+        weights = np.exp(Hypotheses(count=8, doubt=0.0).init(wide, NONE).log_weights)
         # The mean resultant length of a wrapped normal is exp(-variance / 2).
         resultant = (weights * np.exp(2j * np.pi * np.arange(8) / 8)).sum()
         np.testing.assert_allclose(resultant, np.exp(-variance / 2), rtol=1e-3)
+    # In doubt it faces where the prior does, and says that it may be otherwise.
+    doubtful = Hypotheses(count=8).init(prior, NONE)
+    np.testing.assert_allclose(np.exp(doubtful.log_weights), [0.9125] + 7 * [0.0125])
+    # The hypothesis that faces back counts to one side: 0.0125 pi.
+    np.testing.assert_allclose(doubtful.moments().mean.heading, 0.5, atol=0.04)
+
+
+def test_doubt_is_a_probability():
+    with pytest.raises(ContractError, match=r"doubt is 1\.5, must be from 0 to 1"):
+        Hypotheses(doubt=1.5)
 
 
 def test_an_attitude_is_turned_about_the_vertical():

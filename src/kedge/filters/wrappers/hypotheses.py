@@ -42,12 +42,13 @@ class Hypotheses(AbstractFilter[Mixture]):
     covariance is wide for as long as the readings cannot tell.
 
     What turns is the state's ``heading`` or, without one, its ``attitude`` about the map's
-    vertical axis, for a vehicle that starts about level. At first $w_k$ is the prior's density
-    of the k-th heading: where the prior knows it, its own hypothesis has all the weight, and
-    the others hardly any until readings speak for them; where it does not, all are about as
-    likely. Without a heading there is one start, and all hypotheses are the same. A gate that
-    gives up its belief (``recovery``) starts the bank anew, where it believed to be, widened
-    and facing anywhere.
+    vertical axis, for a vehicle that starts about level. At first $w_k = (1 - d)\, p_k + d / K$
+    with the prior's density $p_k$ at the k-th heading and the probability d, ``doubt``, that
+    the prior is wrong: what is believed faces where the prior does, and a gate still lets in
+    what speaks for another heading. With ``doubt=0`` the prior is kept as it is, and one that
+    is sure and wrong takes a gate's recovery, or minutes, to be overcome. Without a heading
+    there is one start, and all hypotheses are the same. A gate that gives up its belief
+    (``recovery``) starts the bank anew, where it believed to be, widened and facing anywhere.
 
     Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, "Estimation with Applications to Tracking
     and Navigation", 2001, section 11.6.2 (static multiple models); M. Roth, E. Özkan,
@@ -57,6 +58,7 @@ class Hypotheses(AbstractFilter[Mixture]):
 
     inner: AbstractFilter = ExtendedKalman()
     count: int = eqx.field(static=True, default=8)
+    doubt: Scalar = 0.1
 
     def __check_init__(self):
         if not isinstance(self.inner, AbstractGaussianFilter):
@@ -66,6 +68,8 @@ class Hypotheses(AbstractFilter[Mixture]):
             )
         if self.count < 2:
             raise ContractError(f"hypotheses: count is {self.count}, must be at least 2")
+        if isinstance(self.doubt, int | float) and not 0 <= self.doubt <= 1:
+            raise ContractError(f"hypotheses: doubt is {self.doubt}, must be from 0 to 1")
 
     def init(self, prior: Gaussian, key: PRNGKeyArray) -> Mixture:
         """Turned copies of the prior, each as likely as the prior has it."""
@@ -82,14 +86,16 @@ class Hypotheses(AbstractFilter[Mixture]):
         widest = (gap / 3) ** 2
         alone = prior.cov.at[place, :].set(0.0).at[:, place].set(0.0)
         alone = alone.at[place, place].set(widest)
-        cov = jnp.where(variance > widest, alone, prior.cov)
+        known = jnp.where(variance > widest, alone, prior.cov)
 
         def turned(angle: Float[Array, ""]) -> Gaussian:
+            cov = jnp.where(angle == 0, known, alone)
             return Gaussian(_turn(prior.mean, field, angle), cov)
 
         angles = gap * jnp.arange(self.count)
-        weights = jnp.maximum(_normalised(_around_the_circle(angles, variance)), HELD)
-        return Mixture(jax.vmap(turned)(angles), _normalised(weights))
+        density = jnp.exp(_normalised(_around_the_circle(angles, variance)))
+        weights = jnp.log((1 - self.doubt) * density + self.doubt / self.count)
+        return Mixture(jax.vmap(turned)(angles), _normalised(jnp.maximum(weights, HELD)))
 
     def considers(self) -> bool:
         """The inner filter's."""
