@@ -32,4 +32,5 @@ def test_the_value_that_is_advised_mends_it():
     assert one.value == pytest.approx(0.15, abs=0.03)
     assert one.advice.startswith("[sensors.radio] latency = 0.1")
     (one,) = wrong("odometry scale 5 % off")
-    assert "parameters.speed_scale = 0.95" in one.advice
+    assert one.value == pytest.approx(1 / 0.95 - 1, abs=0.02)
+    assert one.advice.startswith("multiply the column of control.speed by 0.95")

@@ -85,8 +85,8 @@ def facts(runs: Sequence[Run], recording: Recording) -> list[tuple[str, str]]:
 
 def warnings(runs: Sequence[Run], recording: Recording, rig: Rig) -> list[str]:
     """What a reader should know before trusting the numbers."""
-    lines = [text for run in rivals(runs) for text in _misfits(run)]
-    lines += [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
+    lines = [no_nees(r.name, share) for r in rivals(runs) if (share := r.scores.singular)]
+    lines += [text for run in rivals(runs) for text in _misfits(run)]
     judged = [run for run in rivals(runs) if run.errors is not None]
     for word, wrong in (
         ("Over-confident", lambda share: share < HONEST),
