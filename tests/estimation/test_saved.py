@@ -106,15 +106,17 @@ def test_something_else_is_refused_by_name(halfway, rig, key, monkeypatch):
     state = halfway.state()
     wider = Rig(rig.vehicle, rig.sensors, Gaussian(rig.prior.mean, 2 * jnp.eye(3)))
     extended = filters.make("extended")
+    other = "native" if os.environ.get("KEDGE_ENGINE") == "xla" else "xla"
     for name, given in {
         "rig": (extended, wider, key),
         "filter": (filters.make("unscented"), rig, key),
         "key": (extended, rig, jax.random.key(99)),
-        "engine": (extended, rig, key, "xla"),
+        "engine": (extended, rig, key, other),
     }.items():
         with pytest.raises(DataError, match=f"it is of another {name}: found"):
             Estimator.from_state(state, *given)
     monkeypatch.setattr(saved, "key_of", lambda text: "another processor")
+    monkeypatch.setattr(saved.platform, "processor", lambda: "another processor")
     with pytest.raises(DataError, match="it is of another machine"):
         Estimator.from_state(state, extended, rig, key)
 
