@@ -33,8 +33,8 @@ def test_push(times):
     times.row("push, unicycle with GNSS", "kedge by XLA", found["xla"][0], found["native"][0])
 
 
-def test_waiting(times):
-    """Ten events that wait, in one call and one by one; and a fix 150 ms late at 100 Hz."""
+def receiver():
+    """A vehicle with three states and a gated receiver; one of its fixes."""
     vehicle = kedge.make_vehicle("unicycle", speed_noise=0.1, yaw_rate_noise=0.02)
     gnss = kedge.make_sensor("gnss", std=1.0)
     rig = kedge.Rig(
@@ -43,6 +43,12 @@ def test_waiting(times):
         kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(3)),
     )
     fix = gnss.measures(np.zeros(2))
+    return rig, fix
+
+
+def test_waiting(times):
+    """Ten events that wait, in one call and one by one; and a fix 150 ms late at 100 Hz."""
+    rig, fix = receiver()
 
     def made():
         estimator = kedge.Estimator(kedge.make_filter("extended"), rig, lag=2.0)
@@ -74,14 +80,7 @@ def test_waiting(times):
 
 def test_beside_a_push(times):
     """A refusal, a look ahead, a state as bytes, and 50 vehicles in turn in one thread."""
-    vehicle = kedge.make_vehicle("unicycle", speed_noise=0.1, yaw_rate_noise=0.02)
-    gnss = kedge.make_sensor("gnss", std=1.0)
-    rig = kedge.Rig(
-        vehicle,
-        (kedge.Installation("gnss", gnss, gate=0.001),),
-        kedge.Gaussian(vehicle.start(), 0.1 * jnp.eye(3)),
-    )
-    fix = gnss.measures(np.zeros(2))
+    rig, fix = receiver()
     fleet = [kedge.Estimator(kedge.make_filter("extended"), rig, lag=2.0) for _ in range(50)]
     for estimator in fleet:
         estimator.ready()

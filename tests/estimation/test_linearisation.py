@@ -8,7 +8,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 from kedge.config.scenarios import load_scenario
-from kedge.core.errors import DataError
+from kedge.core.errors import ContractError, DataError
 from kedge.core.manifolds import space
 from kedge.estimation.linearisation import LinearSystem, linearise
 
@@ -83,3 +83,13 @@ def test_a_rank_does_not_hang_on_units():
 def test_a_step_must_last(system):
     with pytest.raises(DataError, match="dt: found -1 s"):
         system.discretised(-1.0)
+
+
+def test_a_state_or_control_of_another_vehicle_is_refused(rig):
+    with pytest.raises(ContractError, match="state: found list, expected State"):
+        linearise(rig, [1.0] * 5)
+    with pytest.raises(ContractError, match="control: found State"):
+        linearise(rig, control=rig.prior.mean)
+    lost = rig.prior.mean._replace(offset=jnp.array(jnp.nan))
+    with pytest.raises(DataError, match="expected finite numbers"):
+        linearise(rig, lost)

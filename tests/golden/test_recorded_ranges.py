@@ -71,6 +71,15 @@ def test_plaza_with_a_wrong_start_heading(data, off):
     assert np.hypot(error[:, 0], error[:, 1]).max() < 1.5
 
 
+def test_plaza_smoothed_from_the_start_that_foresaw_best(data):
+    """A pass from a wrong heading, whose gate refuses what contradicts it, must not win."""
+    filtered, smoothed = run(
+        "plaza", data / PLAZA, "hypotheses", "hypotheses+smoother", until=300.0
+    )
+    assert rmse(smoothed) < rmse(filtered)
+    assert smoothed.scores.rmse["heading"].value < 0.1
+
+
 def test_plaza_carried_away(data):
     """For 40 s the odometer says that it stands: it is found again, its radios as ever."""
     problem = load_problem("plaza", str(data / PLAZA), until=800.0)

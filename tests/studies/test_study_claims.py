@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kedge.config.scenarios import ClaimConfig
+from kedge.config.published import ClaimConfig
 from kedge.core.beliefs import Gaussian
 from kedge.core.conditions import Comparison, Term, parse_condition, parse_term
 from kedge.core.errors import ConfigError

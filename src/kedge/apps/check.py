@@ -22,13 +22,9 @@ from kedge.checking.planted import PLANTED, planted
 from kedge.checking.summary import CheckSummary
 from kedge.config.filters import build_filter
 from kedge.config.problem import Problem
-from kedge.core.contracts import AbstractFilter
 from kedge.estimation.compilation_cache import use_compilation_cache
-from kedge.estimation.transition import innermost, is_smoothable
 from kedge.evaluation.record import record
-from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
 from kedge.filters.gaussian.extended import ExtendedKalman
-from kedge.filters.wrappers.hypotheses import Hypotheses
 from kedge.formats.results import as_toml, digest, write_summary
 from kedge.formats.results_folder import results_folder
 from kedge.reports.check_report import HEAD, CheckContent, headline, rows, spans, write_check
@@ -93,15 +89,8 @@ def execute(problem: Problem, filter: str, out: Path | None, report: bool) -> Ch
     return summary
 
 
-def checking_filter(spec: str) -> AbstractFilter:
-    """The rig's own filter; the extended one for those that draw random numbers."""
-    filter = build_filter(spec)
-    drawn = isinstance(innermost(filter), AbstractEnsembleFilter) or not is_smoothable(filter)
-    return ExtendedKalman() if drawn and not isinstance(filter, Hypotheses) else filter
-
-
 def _checked(problem: Problem, filter: str, progress: Any) -> Checked:
-    return check(checking_filter(filter), problem.rig, problem.recording, progress)
+    return check(build_filter(filter), problem.rig, problem.recording, progress)
 
 
 def _summary(problem: Problem, checked: Checked) -> CheckSummary:

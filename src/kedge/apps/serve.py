@@ -1,4 +1,4 @@
-"""``kedge serve``: a simulated fleet, estimated as it drives, and its page."""
+"""``kedge serve``: a simulated fleet, estimated as it drives."""
 
 import socket
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtr, chdtri
+from scipy.special import bdtr
 
 from kedge.checking.correlation import Memory, error_trial, is_clear, memory, noise_std
 from kedge.checking.observability import Direction, undetermined
@@ -17,6 +17,11 @@ from kedge.core.contracts import AbstractFilter
 from kedge.core.errors import DataError
 from kedge.estimation.log import Recording
 from kedge.estimation.rig import Rig
+from kedge.estimation.transition import innermost, is_smoothable
+from kedge.evaluation.plausibility import off_by
+from kedge.filters.ensemble.recursion import AbstractEnsembleFilter
+from kedge.filters.gaussian.extended import ExtendedKalman
+from kedge.filters.wrappers.hypotheses import Hypotheses
 from kedge.tuning.tunable import tunables
 
 MOST = 4
@@ -78,12 +83,14 @@ def check(
     Each hypothesis (a scale, a sign, a clock, a lever arm, noise, targets exchanged, an error
     with a memory) is a pass over the log with the rig mended by it; one holds if it foresees
     the readings better by far, and throughout the log. The best is taken for true, and the
-    others are tried again.
+    others are tried again. In the place of a filter that draws random numbers, which would
+    make gains out of chance, it is the extended one.
 
     Raises:
         DataError: no reading could be judged.
     """
     progress("compiling")
+    filter = _without_draws(filter)
     noise = tuple(t for t in tunables(rig) if t.is_noise)
     setting = setting_of(rig, recording, noise)
     program = Program(filter, setting)
@@ -114,6 +121,14 @@ def check(
         if (np.asarray(base.log.schedule.sensor) == place).any()
     }
     return Checked(evidence, trials, tried_first, undetermined(setting, base), setting, typical)
+
+
+def _without_draws(filter: AbstractFilter) -> AbstractFilter:
+    """The filter; the extended one for those that draw random numbers."""
+    if isinstance(filter, Hypotheses):
+        return filter
+    drawn = isinstance(innermost(filter), AbstractEnsembleFilter) or not is_smoothable(filter)
+    return ExtendedKalman() if drawn else filter
 
 
 def _rounds(
@@ -163,10 +178,7 @@ def _evidence(
         if setting.rig.sensors[place].targets
         and (entry := stream(readings.time[readings.target == target])) is not None
     }
-    ratio = None
-    if len(readings.nis):
-        # By medians: a rig with a robust loss or a gate says that some readings are outliers.
-        ratio = float(np.sqrt(np.median(readings.nis / chdtri(readings.dof, 0.5))))
+    ratio = off_by(readings.nis, readings.dof)
     covered = coverage(program, setting, place) if len(readings.nis) else []
     hangs = memory(readings) if len(readings.nis) else None
     return Evidence(len(time), stream(time), by_target, ratio, hangs, covered, spans, [])

@@ -47,7 +47,7 @@ class Admission:
         self._ranks = {name: rank for rank, name in enumerate(rig.names)}
         self._tails = [
             slice(size, None) if size < len(self._measurement) else None
-            for size in form.sizes_told
+            for size in form.sizes_read
         ]
         self._structure = jax.tree.structure(control)
         # A control that is a tuple of numbers and arrays need not be taken apart.
@@ -74,13 +74,13 @@ class Admission:
             self.reading(rank, measurement, target, cov)
         else:
             self._has_cov[0] = 0
-        told, fate = None, NONE
+        held, fate = None, NONE
         if control is not None:
-            told = self.control(control)
-            fate = FUSED if told is not None else NOT_FINITE
-        self._sensor[0], self._has_control[0] = place, told is not None
+            held = self.control(control)
+            fate = FUSED if held is not None else NOT_FINITE
+        self._sensor[0], self._has_control[0] = place, held is not None
         self._sequence[0] = sequence
-        return (at, rank, sequence), told, fate
+        return (at, rank, sequence), held, fate
 
     def reading(self, rank: int, measurement: Any, target: Any, cov: Any) -> None:
         """One reading of the sensor of that rank.
@@ -105,7 +105,7 @@ class Admission:
             ) from None
         self._target[0] = number if -(2**62) < number < 2**62 else NO_TARGET
         if (tail := self._tails[rank]) is not None:
-            self._measurement[tail] = 0.0  # else what is said twice is not the same
+            self._measurement[tail] = 0.0  # else what comes twice is not the same
         write(lambda: self._whose(rank), measurement, form.readings[rank], self._measurement)
         self._has_cov[0] = cov is not None
         if cov is not None:
@@ -146,13 +146,13 @@ class Admission:
                 )
             if spread and rank == NO_SENSOR:
                 row[HAS_COV] = 0
-            told, fate, place = None, NONE, rank if rank >= 0 else -1 if brings else count
+            held, fate, place = None, NONE, rank if rank >= 0 else -1 if brings else count
             if brings:
-                told = row[self._form.words["control"]].view(float).copy()
-                fate = FUSED if all(map(math.isfinite, told.tolist())) else NOT_FINITE
-                told = told if fate == FUSED else None
+                held = row[self._form.words["control"]].view(float).copy()
+                fate = FUSED if all(map(math.isfinite, held.tolist())) else NOT_FINITE
+                held = held if fate == FUSED else None
                 row[HAS_CONTROL] = fate == FUSED
-            admitted.append(((time, place, turn), told, fate))
+            admitted.append(((time, place, turn), held, fate))
         return admitted
 
     def _whose(self, rank: int) -> str:

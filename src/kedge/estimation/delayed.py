@@ -39,12 +39,12 @@ class Window:
         origin: Origin,
         lag: int,
         capacity: int,
-        said: Callable[[np.ndarray], bytes] = np.ndarray.tobytes,
+        content: Callable[[np.ndarray], bytes] = np.ndarray.tobytes,
     ):
-        self.origin, self.lag, self.capacity, self._said = origin, lag, capacity, said
+        self.origin, self.lag, self.capacity, self._content = origin, lag, capacity, content
         self.orders: list[Order] = []
         self.rows: list[np.ndarray] = []
-        self.told: list[np.ndarray | None] = []
+        self.controls: list[np.ndarray | None] = []
         self.words: list[np.ndarray | None] = []
         self.closed = origin.time - 1
         """ns of the newest event that is forgotten: what is as old can be taken in no more."""
@@ -73,7 +73,8 @@ class Window:
         for place in range(len(self.orders) - 1, -1, -1):
             if self.orders[place][0] < order[0]:
                 return False
-            if self.orders[place] == order and self._said(row) == self._said(self.rows[place]):
+            same_turn = self.orders[place] == order
+            if same_turn and self._content(row) == self._content(self.rows[place]):
                 return True
         return False
 
@@ -87,39 +88,43 @@ class Window:
 
     def held(self, place: int) -> np.ndarray:
         """The control that holds when the event at ``place`` comes."""
-        for control in reversed(self.told[:place]):
+        for control in reversed(self.controls[:place]):
             if control is not None:
                 return control
         return self.origin.held
 
     def append(
-        self, order: Order, row: np.ndarray, told: np.ndarray | None, words: np.ndarray | None
+        self,
+        order: Order,
+        row: np.ndarray,
+        control: np.ndarray | None,
+        words: np.ndarray | None,
     ) -> None:
         """One event more, newer than all others."""
         self.orders.append(order)
         self.rows.append(row)
-        self.told.append(told)
+        self.controls.append(control)
         self.words.append(words)
 
-    def extend(self, orders: Any, rows: Any, told: Any, words: Any) -> None:
+    def extend(self, orders: Any, rows: Any, controls: Any, words: Any) -> None:
         """Events more, newer than all others."""
         self.orders.extend(orders)
         self.rows.extend(rows)
-        self.told.extend(told)
+        self.controls.extend(controls)
         self.words.extend(words)
 
     def insert(
-        self, place: int, order: Order, row: np.ndarray, told: np.ndarray | None
+        self, place: int, order: Order, row: np.ndarray, control: np.ndarray | None
     ) -> None:
         """One event between others; the words after it have to be found."""
         self.orders.insert(place, order)
         self.rows.insert(place, row)
-        self.told.insert(place, told)
+        self.controls.insert(place, control)
         self.words.insert(place, None)
 
     def remove(self, place: int) -> None:
         """Undo :meth:`insert`."""
-        for part in (self.orders, self.rows, self.told, self.words):
+        for part in (self.orders, self.rows, self.controls, self.words):
             del part[place]
 
     def first(self) -> int:
@@ -140,5 +145,5 @@ class Window:
         begin, words = self.before(keep)
         if begin:
             self.origin = Origin(orders[begin - 1][0], words, self.held(begin))
-            for part in (self.orders, self.rows, self.told, self.words):
+            for part in (self.orders, self.rows, self.controls, self.words):
                 del part[:begin]

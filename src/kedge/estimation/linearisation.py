@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import expm
 
 from kedge.core.contracts import AbstractVehicle
-from kedge.core.errors import DataError
+from kedge.core.errors import ContractError, DataError
 from kedge.core.manifolds import space, space_of
 from kedge.estimation.rig import Installation, Rig
 
@@ -143,13 +143,15 @@ def linearise(rig: Rig, state: Any = None, control: Any = None) -> LinearSystem:
     Sensors over a map have as many outputs as targets times components.
 
     Raises:
-        DataError: a derivative is not finite there.
-        ContractError: the vehicle has no derivative.
+        DataError: state or control is not finite, or a derivative is not.
+        ContractError: they are those of another vehicle, or this one has no derivative.
 
     Source: A. Gelb (ed.), "Applied Optimal Estimation", 1974, section 6.1 (extended filter).
     """
     state = rig.prior.mean if state is None else state
     control = rig.vehicle.nominal_control(jnp.zeros(())) if control is None else control
+    _require("state", state, rig.prior.mean)
+    _require("control", control, rig.vehicle.nominal_control(jnp.zeros(())))
     control = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), control)
     A, B, Q = (np.asarray(part) for part in matrices(rig.vehicle, state, control))
     rows, blocks, outputs = [np.zeros((0, len(A)))], [], []
@@ -169,6 +171,23 @@ def linearise(rig: Rig, state: Any = None, control: Any = None) -> LinearSystem:
         if not np.isfinite(getattr(system, name)).all():
             raise DataError(f"{name} is not finite at this state: no derivative there")
     return system
+
+
+def _require(what: str, given: Any, known: Any) -> None:
+    """Refuse a state or a control that is not one of the rig's.
+
+    Raises:
+        ContractError: it is of another class or shape.
+        DataError: it is not finite.
+    """
+    expected = f"expected {type(known).__name__}({', '.join(getattr(known, '_fields', ()))})"
+    if type(given) is not type(known):
+        raise ContractError(f"{what}: found {type(given).__name__}, {expected}")
+    shapes = [list(map(np.shape, jax.tree.leaves(tree))) for tree in (given, known)]
+    if shapes[0] != shapes[1]:
+        raise ContractError(f"{what}: found shapes {shapes[0]}, expected {shapes[1]}")
+    if not all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(given)):
+        raise DataError(f"{what}: found {given}, expected finite numbers")
 
 
 def _diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:

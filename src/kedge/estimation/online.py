@@ -102,7 +102,7 @@ class Estimator(Saved):
         heard = dict.fromkeys(self._allowed, self._start)
         self._limits = rig.vehicle.control_limits()
         self.clipped: dict[str, int] = {}
-        """How often a component of the control was told beyond its limit; it acts as that."""
+        """How often a component of the control was beyond its limit; it acts as that."""
         self._still = jax.tree.map(_floats, rig.vehicle.nominal_control(0.0))
         self._form, self._memory = EventForm(rig, self._still), (round(lag * SECOND), capacity)
         state = begin_live(self._filter, self._rig, key)
@@ -123,7 +123,7 @@ class Estimator(Saved):
     def _begin(self, state: Any, time: int, held: Any, heard: dict[int, int]) -> None:
         """A window without events behind a state."""
         origin = Origin(time, self._steps.pack(state), held)
-        window = Window(origin, *self._memory, self._form.said)
+        window = Window(origin, *self._memory, self._form.content)
         first = self._steps.first_answer(state).view(np.int64)
         self._line = Timeline(self._steps, window, self._start, first, heard)
         self._state: tuple[Any, Any] = origin.words, state
@@ -143,7 +143,7 @@ class Estimator(Saved):
     @property
     def time(self) -> Any:
         """Time of the newest event, as its clock counts."""
-        return self._told(self._line.time)
+        return self._on_clock(self._line.time)
 
     @property
     def degraded(self) -> tuple[str, ...]:
@@ -222,8 +222,8 @@ class Estimator(Saved):
             first[: end - place] = words[place:end]
             written[place:end] = line.append(admitted[place:end])
             if self._limits is not None:
-                for _, told, _ in admitted[place:end]:
-                    self._clip(told)
+                for _, control, _ in admitted[place:end]:
+                    self._clip(control)
             place = end
         return answers
 
@@ -275,7 +275,7 @@ class Estimator(Saved):
         after = restarted(before, mean, cov)
         self._restart(after, now)
         self.resets += 1
-        return jump(self._told(now), before, after)
+        return jump(self._on_clock(now), before, after)
 
     def swap(self, filter: AbstractFilter) -> None:
         """Go on with another filter, from mean and covariance of this one.
@@ -303,7 +303,7 @@ class Estimator(Saved):
         if at < self._line.time:
             unit = _CLOCKS[self._unit]
             raise DataError(
-                f"{what} at {self._told(at):.10g} {unit}: the newest event is at "
+                f"{what} at {self._on_clock(at):.10g} {unit}: the newest event is at "
                 f"{self.time:.10g} {unit} already"
             )
         return Answer(self._steps.form, self._line.peek(at)).moments
@@ -326,7 +326,7 @@ class Estimator(Saved):
         Source: S. Särkkä, "Bayesian Filtering and Smoothing", 2013, sections 8.2 and 10.6.
         """
         require_smoothable(self._filter)
-        return [(self._told(time), moments) for time, moments in self._line.smoothed()]
+        return [(self._on_clock(time), moments) for time, moments in self._line.smoothed()]
 
     def _belongs_here(self) -> None:
         """Refuse a second thread, which would write where the first one reads.
@@ -350,32 +350,32 @@ class Estimator(Saved):
         """
         if abs(time - self._start) > DAY:
             raise DataError(
-                f"the first event is at {self._told(time):.10g} {_CLOCKS[self._unit]}, but the "
-                f"estimator starts at 0 {_CLOCKS[self._unit]}: give the time of its prior, as "
-                "start="
+                f"the first event is at {self._on_clock(time):.10g} {_CLOCKS[self._unit]}, but "
+                f"the estimator starts at 0 {_CLOCKS[self._unit]}: give the time of its prior, "
+                "as start="
             )
         self._knows_start = True
 
     def _one(self, event: Admitted) -> np.ndarray:
         """The event in the first row; the words of its answer."""
-        order, told, _ = event
+        order, control, _ = event
         if not self._knows_start:
             self._check_clock(order[0])
         passed = order[0] - self._line.time
         if self._longest < passed <= self._horizon:
-            what = f"event at {self._told(order[0]):g} s: the step since the event before"
+            what = f"event at {self._on_clock(order[0]):g} s: the step since the event before"
             check_step(self._vehicle, passed / SECOND, what)
         words, done = self._line.one(event, self._horizon)
-        if told is not None and self._limits is not None and done:
-            self._clip(told)
+        if control is not None and self._limits is not None and done:
+            self._clip(control)
         return words
 
-    def _clip(self, told: np.ndarray | None) -> None:
-        if told is not None:
-            for label in beyond(self._form.control(told), self._limits):
+    def _clip(self, control: np.ndarray | None) -> None:
+        if control is not None:
+            for label in beyond(self._form.control(control), self._limits):
                 self.clipped[label] = self.clipped.get(label, 0) + 1
 
-    def _told(self, time: int) -> Any:
+    def _on_clock(self, time: int) -> Any:
         """A time as the clock counts."""
         return time if self._unit == NS else time / SECOND
 

@@ -19,7 +19,7 @@ WORD = 8
 
 SENSOR, HAS_CONTROL, HAS_COV = 2, 3, 4
 """Words of an event's row."""
-SAID = SENSOR, HAS_COV + 1
+HEAD = SENSOR, HAS_COV + 1
 ANSWER = ["verdict", "control", "replayed", "time"]
 """The first words of an answer's row."""
 VERDICT, CONTROL, REPLAYED = range(3)
@@ -71,7 +71,7 @@ class EventForm:
             parts(fields, [chart.shape for chart in space.charts])
             for fields, space in zip(names, spaces, strict=True)
         ]
-        self.sizes_told = [size_of(laid) for laid in self.readings]
+        self.sizes_read = [size_of(laid) for laid in self.readings]
         self.controls, self._control = parts_of(control), jax.tree.structure(control)
         widest = max((size_of(laid) for laid in self.readings), default=0)
         most = max((size**2 for size in self.sizes), default=0)
@@ -89,9 +89,9 @@ class EventForm:
             for name, (kind, begin, *_) in fields.items()
         }
 
-    def said(self, row: np.ndarray) -> bytes:
-        """What the words of a row say, whatever stands where nothing is said."""
-        places = [slice(*SAID)]
+    def content(self, row: np.ndarray) -> bytes:
+        """The words of a row that mean something, whatever the others are."""
+        places = [slice(*HEAD)]
         if row[SENSOR] != NO_SENSOR:
             places += [self.words["target"], self.words["measurement"]]
         if row[HAS_COV]:

@@ -15,8 +15,6 @@ from kedge.estimation.log import SECOND
 from kedge.estimation.rows import CONTROL, NO_SENSOR, REPLAYED, VERDICT
 from kedge.estimation.smoother import backward
 
-Told = np.ndarray | None
-"""The control that an event brings, as a vector."""
 FEW = 6
 """Controls that are put into rows one by one sooner than all at once."""
 FUSED, NONE = int(Verdict.FUSED), int(Verdict.NONE)
@@ -54,7 +52,7 @@ class Timeline:
             steps.rows[name] for name in ("time", "seconds", "since", "row", "held")
         )
         self._brought = steps.rows["control"]
-        self._control, self._replayed, self._told_at = (
+        self._control, self._replayed, self._answered = (
             steps.answers[name] for name in ("control", "replayed", "time")
         )
 
@@ -101,34 +99,34 @@ class Timeline:
     def append(self, events: Sequence[Admitted]) -> np.ndarray:
         """The first rows done, each behind the last."""
         window, count = self.window, len(events)
-        orders, told, fates = zip(*events, strict=True)
+        orders, controls, fates = zip(*events, strict=True)
         times = [order[0] for order in orders]
         self._at[:count] = times
-        held = self._follow(self.time, told, self.held)
+        held = self._follow(self.time, controls, self.held)
         trail = self.steps.run(count, self.after)
-        window.extend(orders, list(self._words[:count].copy()), told, trail)
+        window.extend(orders, list(self._words[:count].copy()), controls, trail)
         self.time, self.held, self.after = times[-1], held, trail[-1]
         if len(window.orders) > window.full:
             window.forget()
         answers = self._answers[:count]
-        self._control[:count], self._replayed[:count], self._told_at[:count] = fates, 0, times
+        self._control[:count], self._replayed[:count], self._answered[:count] = fates, 0, times
         self.newest = answers[-1].copy()
         if self.heard:
             self._hear(count)
         return answers
 
     def _append_one(self, event: Admitted) -> np.ndarray:
-        (order, told, fate), window = event, self.window
+        (order, control, fate), window = event, self.window
         time = order[0]
         self._between(0, self.time, time, self.held)
         after = self.steps.run(1, self.after)[0]
-        window.append(order, self._words[0].copy(), told, after)
-        if told is not None:
-            self.held = told
+        window.append(order, self._words[0].copy(), control, after)
+        if control is not None:
+            self.held = control
         self.time, self.after = time, after
         if len(window.orders) > window.full:
             window.forget()
-        self._control[0], self._replayed[0], self._told_at[0] = fate, 0, time
+        self._control[0], self._replayed[0], self._answered[0] = fate, 0, time
         self.newest = answer = self._answers[0].copy()
         if self.heard:
             self._hear(1)
@@ -136,10 +134,10 @@ class Timeline:
 
     def _insert(self, place: int, event: Admitted) -> np.ndarray:
         """A late event put where it belongs, and what follows done again."""
-        (order, told, fate), window = event, self.window
+        (order, control, fate), window = event, self.window
         self._at[0] = order[0]
         begin, words = window.before(place)
-        window.insert(place, order, self._words[0].copy(), told)
+        window.insert(place, order, self._words[0].copy(), control)
         carried: Trail = []
         answer, newest, heard = self.newest, self.newest, dict(self.heard)
         try:
@@ -148,7 +146,7 @@ class Timeline:
                 trail = self.steps.run(count, words)
                 carried += trail
                 words = trail[-1]
-                self._told_at[:count] = self._at[:count]
+                self._answered[:count] = self._at[:count]
                 if start <= place < start + count:
                     answer = self._answers[place - start].copy()
                 newest = self._answers[count - 1].copy()
@@ -220,26 +218,26 @@ class Timeline:
         count = len(rows)
         np.concatenate(rows, out=self._words[:count].reshape(-1))
         newest = window.orders[begin - 1][0] if begin else window.origin.time
-        self._follow(newest, window.told[begin : begin + count], window.held(begin))
+        self._follow(newest, window.controls[begin : begin + count], window.held(begin))
         return count
 
-    def _follow(self, newest: int, told: Sequence[Any], held: np.ndarray) -> np.ndarray:
+    def _follow(self, newest: int, controls: Sequence[Any], held: np.ndarray) -> np.ndarray:
         """:meth:`_between` for events that follow each other; the control after the last."""
-        count, seconds = len(told), self._seconds
+        count, seconds = len(controls), self._seconds
         seconds[:count] = (self._at[:count] - self._start) / SECOND
         self._since[0] = float(newest - self._start) / SECOND
         self._since[1:count] = seconds[: count - 1]
         self._row[:count], self._held[:count] = self._numbers[:count], held
-        brought = [place for place, control in enumerate(told) if control is not None]
-        if len(brought) <= FEW:
-            for place in brought:
-                self._held[place + 1 : count] = told[place]
+        places = [place for place, control in enumerate(controls) if control is not None]
+        if len(places) <= FEW:
+            for place in places:
+                self._held[place + 1 : count] = controls[place]
         else:
-            before = np.searchsorted(brought, self._numbers[:count])  # how many came earlier
+            before = np.searchsorted(places, self._numbers[:count])  # how many came earlier
             later = before > 0
-            self._held[:count][later] = self._brought[np.take(brought, before[later] - 1)]
-        if brought:
-            held = told[brought[-1]]
+            self._held[:count][later] = self._brought[np.take(places, before[later] - 1)]
+        if places:
+            held = controls[places[-1]]
         return held
 
     def _between(self, place: int, since: int, time: int, held: np.ndarray) -> None:

@@ -7,9 +7,11 @@ import numpy as np
 
 from kedge.core.beliefs import Gaussian
 from kedge.core.manifolds import space
+from kedge.evaluation.attitudes import angles_of
+from kedge.evaluation.consistency import chi_square_bound
 
-BOUND_95 = 2.4477
-"""Deviations within which 95 % of a plane normal distribution lie: the root of -2 ln 0.05."""
+BOUND_95 = math.sqrt(chi_square_bound(2, 0.95))
+"""Deviations within which 95 % of a plane normal distribution lie."""
 
 
 class Place(NamedTuple):
@@ -30,8 +32,7 @@ def heading_of(state: Any) -> float:
     if hasattr(state, "heading"):
         return float(state.heading)
     if hasattr(state, "attitude"):
-        w, x, y, z = (float(part) for part in state.attitude)
-        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return float(angles_of(np.asarray(state.attitude)[None]).heading[0])
     return 0.0
 
 

@@ -1,6 +1,6 @@
 """A simulated fleet: shipped scenarios, drawn once and driven again and again."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,8 +10,9 @@ import numpy as np
 from kedge.config.filters import build_filter
 from kedge.config.scenarios import load_scenario
 from kedge.core.errors import DataError
-from kedge.estimation.log import SECOND, Log
-from kedge.estimation.online import Estimator, Event
+from kedge.estimation.log import SECOND
+from kedge.estimation.online import Estimator
+from kedge.estimation.replay import as_events
 from kedge.estimation.rig import Rig
 from kedge.live.engine import Engine, Member
 from kedge.live.faults import Switched, with_fault
@@ -83,7 +84,7 @@ def drive(plan: Plan) -> Drive:
     first = jax.tree.map(lambda leaf: leaf[0], controls)
     member = Member(plan.name, build_filter("extended"), scenario.rig, first)
     maker = Estimator(member.filter, member.rig, control=first)
-    rows = maker.rows(_events(recording.log, maker.sensors))
+    rows = maker.rows(as_events(recording.log, maker.sensors))
     state = type(scenario.rig.prior.mean)
     fields = [
         state(**{name: leaf[i] for name, leaf in truth.fields.items()})
@@ -100,26 +101,6 @@ def _std(rig: Rig, width: int) -> np.ndarray:
         cov = np.asarray(sensor.noise_cov(rig.prior.mean, jnp.zeros((), int)))
         row[: len(cov)] = np.sqrt(np.diagonal(cov))
     return std
-
-
-def _events(log: Log, sensors: tuple[str, ...]) -> Iterator[Event]:
-    """The events of a log, with the control of the next interval where it changes."""
-    time, fired, rows = (np.asarray(part).tolist() for part in log.schedule)
-    controls, readings = jax.tree.map(np.asarray, (log.controls, log.readings))
-    stacked = np.concatenate(
-        [leaf.reshape(len(time), -1) for leaf in jax.tree.leaves(controls)], 1
-    )
-    changes = np.append((stacked[1:] != stacked[:-1]).any(axis=1), False)
-    for i, at in enumerate(time):
-        control = None
-        if changes[i]:
-            control = jax.tree.map(lambda leaf, i=i: leaf[i + 1], controls)
-        if fired[i] < 0:
-            yield Event(at, control=control)
-            continue
-        one = jax.tree.map(lambda leaf, row=rows[i]: leaf[row], readings[fired[i]])
-        name: str = sensors[fired[i]]
-        yield Event(at, name, one.measurement, control, int(one.target), one.cov)
 
 
 class Fleet:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kedge.core.verdicts import Verdict
+from kedge.evaluation.consistency import chi_square_bound
 
 WINDOW = 5.0
 """s over which a source is judged, or four periods of it if that is longer."""
@@ -55,11 +56,7 @@ class Watch:
         gaps = np.diff([one.stamp for one in recent])
         judged = [one for one in recent if np.isfinite(one.nis) and one.dof > 0]
         dof = sum(one.dof for one in judged)
-        # 95 % of a chi-square over its degrees of freedom, by Wilson and Hilferty's cube.
-        bound = [
-            (1 - 2 / (9 * dof) + z * (2 / (9 * dof)) ** 0.5) ** 3 if dof else None
-            for z in (-1.96, 1.96)
-        ]
+        bound = [chi_square_bound(dof, p) / dof if dof else None for p in (0.025, 0.975)]
         refused = sum(one.verdict != Verdict.FUSED for one in recent)
         return {
             "name": self.name,
