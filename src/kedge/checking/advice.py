@@ -19,7 +19,7 @@ from kedge.vehicles.augmented import Augmented
 
 Names = Mapping[str, tuple[str, ...]]
 WORDS = {"scale": "scale", "clock": "clock offset", "arm": "lever arm"}
-UNITS = {"scale": "1", "clock": "s", "arm": "m"}
+UNITS = {"scale": "", "clock": " s", "arm": " m"}
 VAGUE = {"scale": 0.05, "clock": 0.1, "arm": 0.2}
 """Standard deviations from which on a log does not tell of a quantity."""
 MANOEUVRES = {
@@ -194,7 +194,7 @@ def undetermined(checked: Checked) -> list[str]:
                 filter(None, (trial.change.subject, trial.change.part, WORDS[kind]))
             )
             known = (
-                "not at all" if trial.std is None else f"to {2 * trial.std:.2g} {UNITS[kind]}"
+                "not at all" if trial.std is None else f"to {2 * trial.std:.2g}{UNITS[kind]}"
             )
             lines.append(f"{what}: known {known}; {MANOEUVRES[kind]}")
     for direction in checked.directions:
